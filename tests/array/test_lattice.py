@@ -1,5 +1,6 @@
 """Microlens lattices: cells, centres, apertures and neighbours, and what it takes to add one."""
 
+import itertools
 import math
 
 import drjit as dr
@@ -139,17 +140,15 @@ def test_apertures_have_their_area_and_are_filled_evenly(name, pitches, aperture
 def test_neighbours_within_reach_of_a_cell(name, pitches, smear=0.4):
     lattice = make_lattice(name, pitches, rotation=-7, offset=(0.3, 0.1), fill=0.8)
     reach = 1.3 * PITCH
-    side = np.linspace(0, 1, 200)
-    s, t = (axis.ravel() for axis in np.meshgrid(side, side))
+    s, t = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(0, 1, 200)]))
     # A cell and an aperture of its shape add to a larger one.
     points = np.array(lattice.cell_point(s, t, 1 + 0.8 * smear)) + np.array(lattice.centre(0.0, 0.0))[:, None]
     found = set(map(tuple, lattice.neighbours(reach, smear)))
-    for i in range(-4, 5):
-        for j in range(-4, 5):
-            x, y = lattice.centre(float(i), float(j))
-            nearest = np.hypot(points[0] - x, points[1] - y).min()
-            if abs(nearest - reach) > 0.02 * PITCH:
-                assert ((i, j) in found) == (nearest < reach)
+    for i, j in itertools.product(range(-4, 5), repeat=2):
+        x, y = lattice.centre(float(i), float(j))
+        nearest = np.hypot(points[0] - x, points[1] - y).min()
+        if abs(nearest - reach) > 0.02 * PITCH:
+            assert ((i, j) in found) == (nearest < reach)
 
 
 @EACH_LATTICE
@@ -191,10 +190,7 @@ def test_a_new_lattice_is_one_class(monkeypatch, camera_dict):
     sensor = camera_dict(mla_lattice="brick", mla_pitch="0.064, 0.058", resolution=128, detector_width=0.512)
     capture = render_capture(scene_of(sensor, sky={"type": "constant"}), spp=64)
     camera = capture.camera
-    assert not camera.lattice.axis_aligned
-    assert camera.mla_pitches == (0.064, 0.058)
+    assert not camera.lattice.axis_aligned and camera.mla_pitches == (0.064, 0.058)
     assert design.white_mean(camera) == pytest.approx(math.pi * (5 * 0.512 / 120.512) ** 2 / (0.064 * 0.058))
-    difference = (white_image(camera) - capture.image)[10:-10, 10:-10]
-    assert np.sqrt(np.mean(difference**2)) < 0.05
-    white = reconstruct(capture, 250, camera=camera).image
-    np.testing.assert_allclose(white[2:-2, 2:-2], 1, atol=0.02)
+    assert np.sqrt(np.mean((white_image(camera) - capture.image)[10:-10, 10:-10] ** 2)) < 0.05
+    np.testing.assert_allclose(reconstruct(capture, 250, camera=camera).image[2:-2, 2:-2], 1, atol=0.02)

@@ -35,8 +35,7 @@ def test_a_paraboloid_has_the_orders_of_a_parabolic_phase():
 def test_phases_are_those_of_their_definitions(name):
     x, y = np.random.default_rng(0).uniform(-0.032, 0.032, (2, 400))
     for wavelength in (532.0, 550.0):
-        found = SHAPES[name].waves(x, y, wavelength)
-        difference = found - path_of(name, x, y, wavelength) / (wavelength * 1e-6)
+        difference = SHAPES[name].waves(x, y, wavelength) - path_of(name, x, y, wavelength) / (wavelength * 1e-6)
         if name == "relief":
             # Samples have jumps at places of their own.
             difference = difference[np.abs(difference - np.median(difference)) < 0.5]
@@ -70,8 +69,7 @@ def test_point_spreads_against_propagation(name, method):
     camera = small_camera(2, **HALF, mla_shape=SHAPES[name], mla_medium=1.3)
     position = np.array([0.03, -0.02, 114.0])
     found = mp.point_spread_function(camera, position, wavelength=GREEN, method=method)
-    expected = propagated(camera, name, position, GREEN)
-    assert error(found, expected) < 0.005
+    assert error(found, propagated(camera, name, position, GREEN)) < 0.005
 
 
 @pytest.mark.parametrize(("name", "rotation"), [("sphere", 0.0), ("sampled", 20.0)])
@@ -94,8 +92,7 @@ def test_rays_refract_at_the_surface(name, rotation):
         for a, b in ((step, 0), (0, step))
     ]
     before = within[:, :2] + np.stack(camera.lattice.from_frame(*turn), -1)
-    slope = before / np.sqrt(1 - (before**2).sum(1))[:, None]
-    pupil = centre + offset + 120 * slope
+    pupil = centre + offset + 120 * (before / np.sqrt(1 - (before**2).sum(1))[:, None])
     is_open = (pupil**2).sum(1) <= 25
     assert (np.array(weight)[0] > 0).mean() == pytest.approx(is_open.mean(), abs=0.002)
     assert np.abs(np.array(ray.o)[:2].T - pupil)[is_open].max() < 2e-3
@@ -103,8 +100,7 @@ def test_rays_refract_at_the_surface(name, rotation):
 
 def test_rays_of_each_colour_follow_its_first_order():
     mi.set_variant("llvm_ad_spectral")
-    camera = small_camera(1, mla_shape=ZoneLens(0.5), mla_offset=(0.032, 0.032))
-    sensor = mi.load_dict(camera.to_sensor())
+    sensor = mi.load_dict(small_camera(1, mla_shape=ZoneLens(0.5), mla_offset=(0.032, 0.032)).to_sensor())
     lens = mi.Point2f(np.random.default_rng(1).random((2, 50)).astype(np.float32))
     ray, _ = sensor.sample_ray(0.0, np.linspace(0.1, 0.9, 50).astype(np.float32), mi.Point2f(0.5), lens)
     wavelength = np.array(ray.wavelengths)[0]
@@ -139,11 +135,8 @@ def white_micro_image(camera, name, wavelength, step=5e-4):
 
 
 def test_signed_rays_of_a_wall_against_its_moved_spot(name="sampled"):
-    camera = mp.PlenopticCamera(
-        detector_width=0.064 * 3, resolution=(48, 48), **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)
-    )
-    image = sky(camera, 64, "wave", wavelength=GREEN)
-    found, expected = image[16:32, 16:32], white_micro_image(camera, name, GREEN)
+    camera = small_camera(3, **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)).replace(resolution=(48, 48))
+    found, expected = sky(camera, 64, "wave", wavelength=GREEN)[16:32, 16:32], white_micro_image(camera, name, GREEN)
     assert error(found, expected) < 0.025
 
 

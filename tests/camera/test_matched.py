@@ -27,15 +27,9 @@ def centres(camera: PlenopticCamera, *lenses: tuple[int, int]) -> np.ndarray:
 def test_micro_images_are_as_wide_as_they_are_apart(lattice, count=(60, 41)):
     numbers = itertools.product((1.8, 2.8, 10.0), (6.84, 50.0, 135.0), (0.0014, 0.009), (2.5, 10, 16))
     for (f_number, focal_length, pixel, pixels), far in itertools.product(numbers, (6, math.inf)):
-        camera = PlenopticCamera.matched(
-            f_number=f_number,
-            lenses=count,
-            pixels_per_lens=pixels,
-            pixel_size=pixel,
-            focal_length=focal_length,
-            focus_distance=far * focal_length,
-            mla_lattice=lattice,
-        )
+        given = {"f_number": f_number, "pixels_per_lens": pixels, "pixel_size": pixel, "focal_length": focal_length}
+        given |= {"lenses": count, "focus_distance": far * focal_length, "mla_lattice": lattice}
+        camera = PlenopticCamera.matched(**given)
         assert (camera.f_number, camera.pixel_size) == pytest.approx((f_number, pixel), rel=1e-12)
         here, right, up = centres(camera, (0, 0), (1, 0), (0, 1))
         assert [np.hypot(*(each - here)) for each in (right, up)] == pytest.approx([pixels] * 2, rel=1e-9)
@@ -69,8 +63,7 @@ def test_detectors_and_pitches_as_data_sheets_print_them(lattice):
         for name in ("mla_pitch", "detector_distance", "mla_focal_length", "detector_width"):
             assert getattr(again, name) == pytest.approx(getattr(first, name), rel=1e-12)
     named = {**common, "sensor_size": "11.2512,7.032", "pixel_size": 0.00586, "pixels_per_lens": 14.3}
-    text = ",".join(f"{name}={value}" for name, value in named.items())
-    assert camera_and_record(text)[0] == first
+    assert camera_and_record(",".join(f"{name}={value}" for name, value in named.items()))[0] == first
 
 
 def test_a_real_lens_and_a_medium():

@@ -51,11 +51,9 @@ rows = pytest.mark.parametrize("row", sorted(CHANGES))
 
 
 def point_of(camera):
-    return (
-        (0.004, -0.003, 0.02)
-        if camera.objective is not None
-        else (0.02, -0.03, 0.98 * min(camera.focus_distance, 1000.0))
-    )
+    if camera.objective is not None:
+        return 0.004, -0.003, 0.02
+    return 0.02, -0.03, 0.98 * min(camera.focus_distance, 1000.0)
 
 
 def image_of(camera):
@@ -76,9 +74,8 @@ def refocused(method):
 
 def point_gradient(camera):
     names = ["mla_distance", "detector_distance" if camera.has_array else "detector_width"]
-    return np.concatenate(
-        [np.ravel(each) for each in operator_of(camera).gradient([1.0], image_of(camera), names).values()]
-    )
+    found = operator_of(camera).gradient([1.0], image_of(camera), names)
+    return np.concatenate([np.ravel(each) for each in found.values()])
 
 
 def scene_gradient(camera):

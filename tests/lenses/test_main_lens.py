@@ -18,8 +18,7 @@ def pupil_and_points(count=500, seed=0):
     rng = np.random.default_rng(seed)
     radius, angle = 5 * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
     g = 10 ** rng.uniform(2, 6, count)
-    slopes = rng.uniform(-0.05, 0.05, (2, count))
-    return (radius * np.cos(angle), radius * np.sin(angle)), (*(slopes * g), g)
+    return (radius * np.cos(angle), radius * np.sin(angle)), (*(rng.uniform(-0.05, 0.05, (2, count)) * g), g)
 
 
 @pytest.mark.parametrize("array", [np.asarray, Float64], ids=["NumPy", "Dr.Jit"])
@@ -104,8 +103,7 @@ def test_paths_behind_an_ideal_lens_are_equal_to_the_image(distance):
     step = 1e-5
     for axis, found in enumerate(lens.cosines((x, y), point)):
         ends = (lens.path((x + side * step * (1 - axis), y + side * step * axis), point, 500.0) for side in (1, -1))
-        slope = (next(ends) - next(ends)) * 500e-6 / (2 * step)
-        assert found == pytest.approx(slope, abs=1e-6)
+        assert found == pytest.approx((next(ends) - next(ends)) * 500e-6 / (2 * step), abs=1e-6)
 
 
 def test_orthonormal_in_nolls_order():
@@ -117,8 +115,7 @@ def test_orthonormal_in_nolls_order():
     radius = np.sqrt((nodes + 1) / 2)[:, None]
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     values = np.array([np.polynomial.polynomial.polyval2d(x, y, zernike(j)) for j in range(1, 37)])
-    products = np.einsum("iab,jab,a->ij", values, values, weights / 2) / 64
-    assert np.allclose(products, np.eye(36), atol=1e-12)
+    assert np.allclose(np.einsum("iab,jab,a->ij", values, values, weights / 2) / 64, np.eye(36), atol=1e-12)
     # Defocus: root of 3 times 2 r^2 - 1.
     assert Wavefront([0, 0, 0, 1.0], 2.0).path(2.0, 0.0) == pytest.approx(3**0.5 * 633e-6)
 

@@ -39,7 +39,6 @@ def wave(n, column, row):
 class TestPropagation:
     @pytest.mark.parametrize("n, column, row", [(128, 3, -61), (900, 401, 7)])
     def test_content_at_the_band_limit(self, n, column, row):
-        """A beam with a twentieth of its power in one plane wave."""
         field = np.sqrt(0.95) * beam(n, n / 10) + np.sqrt(0.05) * wave(n, column, row)
         with pytest.warns(mp.PhysicsWarning) as caught:
             propagate(field, 2e-3, 0.05, WAVELENGTH)
@@ -121,8 +120,7 @@ class TestReconstruction:
             options = {"camera": self.CAMERA, "wavelength": [633, 550, 460], "interleave": "auto"}
             result = mp.reconstruct(np.ones((512, 512, 3)), 240, method="partial", **options)
         assert len(caught) == 1
-        beside = 1 - mp.design.white_mean(self.CAMERA)
-        assert result.guards["outside_pupil"] == pytest.approx(beside, abs=0.05)
+        assert result.guards["outside_pupil"] == pytest.approx(1 - mp.design.white_mean(self.CAMERA), abs=0.05)
 
     @pytest.mark.filterwarnings("ignore:.*does not go back through the main lens")
     @pytest.mark.parametrize(("options", "bins"), [({"method": "coherent"}, 6), ({"interleave": "auto"}, 4.5)])
@@ -141,15 +139,14 @@ class TestReconstruction:
         assert read_exr(tmp_path / "out.exr")[2]["guards"] == result.guards
 
 
-class TestCrosstalk:
-    def test_one_lens_where_three_are_needed(self, camera_dict):
-        """The ray camera is made to try one lens only: a quarter of the light is missed, and nothing is rendered."""
-        scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
+def test_one_lens_where_three_are_needed(camera_dict):
+    """The ray camera is made to try one lens only: a quarter of the light is missed, and nothing is rendered."""
+    scene = mi.load_dict({"type": "scene", "i": {"type": "path"}, "s": camera_dict(aperture_radius=10.0)})
+    mp.render_capture(scene, spp=1)
+    sensor = scene.sensors()[0]
+    sensor._rays = replace(sensor._rays, choice=CHIEF)
+    with pytest.raises(mp.PhysicsError, match=r"^27\..*through microlenses that are too far"):
         mp.render_capture(scene, spp=1)
-        sensor = scene.sensors()[0]
-        sensor._rays = replace(sensor._rays, choice=CHIEF)
-        with pytest.raises(mp.PhysicsError, match=r"^27\..*through microlenses that are too far"):
-            mp.render_capture(scene, spp=1)
 
 
 @pytest.mark.filterwarnings("default::mitsuba_plenoptic.PhysicsWarning")
@@ -161,6 +158,5 @@ def test_the_command_shows_one_line(tmp_path, capsys):
     given.write_text(camera.to_json())
     assert main(["render", "white", "-o", str(tmp_path / "raw.exr"), "--spp", "1", "--camera", str(given)]) == 0
     # One more line tells that so large pixels do not refocus.
-    lines = [line for line in capsys.readouterr().err.splitlines() if "warning" in line and "refocusing" not in line]
-    assert len(lines) == 1
-    assert lines[0].startswith("mitsuba-plenoptic: warning: 0.2")
+    (line,) = (each for each in capsys.readouterr().err.splitlines() if "warning" in each and "refocusing" not in each)
+    assert line.startswith("mitsuba-plenoptic: warning: 0.2")

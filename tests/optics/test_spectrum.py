@@ -33,14 +33,12 @@ def test_a_sensor_is_read_from_a_table(tmp_path):
 
 
 def bell(places):
-    """Responses of two channels."""
     return np.stack([np.exp(-(((places - middle) / 40) ** 2)) for middle in (540, 610)])
 
 
 def steps(*lines, width):
     """The table of lamp lines of radiance 1."""
-    rows = [(line + side * (width / 2 + 0.1 * out), 1.0 - out) for line in lines for side, out in SIDES]
-    return np.array(rows).T
+    return np.array([(line + side * (width / 2 + 0.1 * out), 1.0 - out) for line in lines for side, out in SIDES]).T
 
 
 SIDES = ((-1, 1), (-1, 0), (1, 0), (1, 1))
@@ -123,6 +121,5 @@ def test_nodes_lie_where_channels_answer():
 
 
 def test_wavelengths_that_no_channel_answers_to_take_no_nodes():
-    spectrum = Spectrum((400.0, 500.0, 600.0, 700.0), ((0.0, 1.0, 0.5, 0.0),))
-    assert spectrum.interpolated(3).nodes == (500.0, 600.0)
+    assert Spectrum((400.0, 500.0, 600.0, 700.0), ((0.0, 1.0, 0.5, 0.0),)).interpolated(3).nodes == (500.0, 600.0)
     assert Spectrum((400.0, 500.0), ((1.0, 1.0),)).interpolated(3).nodes == ()

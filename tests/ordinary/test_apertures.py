@@ -42,9 +42,8 @@ def test_pictures_are_read_from_files(tmp_path):
     mi.Bitmap(values.astype(np.float32)[..., None]).write(str(tmp_path / "code.exr"))
     np.save(tmp_path / "code.npy", values)
     (tmp_path / "code.json").write_text(json.dumps({"transmission": values.tolist()}))
-    assert [row.value for row in design_sheet(ordinary(aperture_blades=6)) if row.quantity.startswith("open part")] == [
-        "0.827"
-    ]
+    rows = design_sheet(ordinary(aperture_blades=6))
+    assert [row.value for row in rows if row.quantity.startswith("open part")] == ["0.827"]
     for file in tmp_path.iterdir():
         assert ordinary(aperture_image=file).aperture_image == Aperture(values)
         assert ordinary(aperture_image={"transmission": str(tmp_path / "code.npy")}).aperture_image == Aperture(values)
@@ -72,10 +71,8 @@ def by_hand(camera, distance, half, centre):
 
 @pytest.mark.parametrize("distance", [200.0, 600.0])
 def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
-    """Light of a near lamp lands on the side of the axis where it passes the pupil; that of a far one has crossed it.
-
-    Columns of a capture rise with x of the camera frame on the detector, and rows with y.
-    """
+    """Light of a near lamp lands on the side of the axis where it passes the pupil, that of a far one on the other."""
+    # Columns of a capture rise with x of the camera frame on the detector, and rows with y.
     camera = ordinary(aperture_image=CODE, detector_width=4.0, resolution=(60, 40))
     lamp = {"lamp": cases.facing(distance, distance / 200, (distance / 120, 0.0), **cases.radiating())}
     image = render_capture(cases.scene_of(camera.to_sensor(), **lamp), spp=2048).image

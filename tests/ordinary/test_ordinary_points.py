@@ -21,12 +21,8 @@ METHODS = ("patch", "full_field")
 
 
 def ordinary(pixel=0.003, resolution=(16, 16), **given):
-    return PlenopticCamera(
-        mla_lattice="none",
-        **{"focal_length": F, "mla_distance": B, "aperture_radius": A, "resolution": resolution}
-        | {"detector_width": pixel * resolution[0]}
-        | given,
-    )
+    thin = {"focal_length": F, "mla_distance": B, "aperture_radius": A, "resolution": resolution}
+    return PlenopticCamera(mla_lattice="none", detector_width=pixel * resolution[0], **thin | given)
 
 
 def nodes(camera, axis, count):
@@ -44,7 +40,6 @@ def over_pixels(camera, intensity, count):
 
 
 def airy(camera, place, count):
-    """The Airy pattern around a place on the detector, in closed form."""
     (x, _), (y, _) = (nodes(camera, axis, count) for axis in (0, 1))
     v = 2 * math.pi / LAMBDA * A * np.maximum(np.hypot(x - place[0], y[:, None] - place[1]), 1e-12) / B
     return over_pixels(camera, (2 * scipy.special.j1(v) / v) ** 2 * math.pi * (A / (LAMBDA * B)) ** 2, count)
@@ -66,10 +61,8 @@ def huygens(camera, position, samples=80, count=3):
     along = (np.arange(samples) + 0.5) * 2 / samples - 1
     x, y = (each[np.hypot(*np.meshgrid(along, along)) <= 1] for each in np.meshgrid(along, along))
     distance = 1 / (1 / F - 1 / position[2])
-    image = -np.array(position[:2]) * distance / position[2]
-    path = zernike_path(camera.wavefront, x, y) - np.sqrt(
-        distance**2 + (A * x - image[0]) ** 2 + (A * y - image[1]) ** 2
-    )
+    at = -np.array(position[:2]) * distance / position[2]
+    path = zernike_path(camera.wavefront, x, y) - np.sqrt(distance**2 + (A * x - at[0]) ** 2 + (A * y - at[1]) ** 2)
     (across, _), (down, _) = (nodes(camera, axis, count) for axis in (0, 1))
     field = np.empty((len(down), len(across)), complex)
     for row, height in enumerate(down):
@@ -87,8 +80,7 @@ def test_a_star_in_focus_is_an_airy_pattern(method, width, resolution, count, wi
     spread = mp.point_spread_function(camera, (*(-place * FOCUS / B), FOCUS), wavelength=WAVELENGTH, method=method)
     expected = airy(camera, place, count)
     x, y = (camera.pixel_coordinates(axis) - place[axis] for axis in (0, 1))
-    order = np.argsort(np.hypot(x, y[:, None]), axis=None)
-    encircled = np.cumsum((spread - expected).ravel()[order])
+    encircled = np.cumsum((spread - expected).ravel()[np.argsort(np.hypot(x, y[:, None]), axis=None)])
     assert np.abs(encircled).max() < 0.004 and relative(spread, expected) < 0.005
 
 
@@ -144,10 +136,7 @@ def behind(name):
 
 
 def points(name):
-    """Yield each point's position, its rays' slopes, which pass, and where and with which slopes these land.
-
-    Optiland's z goes with the light, and ours against it.
-    """
+    """Yield each point's height, its rays' slopes (Optiland's z goes with light), which pass, and how these land."""
     for point in SPOTS[name]["points"]:
         is_open = np.array(point["open"])
         image, slopes = (np.array(point[key])[:, is_open] for key in ("image", "slopes"))

@@ -23,7 +23,6 @@ def ordinary(**given):
 
 
 def chequers(distance, half, count, place=(0.0, 0.0)):
-    """A radiating wall of squares that faces the camera."""
     texture = np.indices((count, count)).sum(0)[..., None] % 2 + 0.1
     radiance = {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True, "filter_type": "nearest"}
     return facing(distance, half, place, emitter={"type": "area", "radiance": radiance})
@@ -52,7 +51,7 @@ def disagreement(one, other):
 
 def thinlens(camera, **changes):
     """Mitsuba's sensor with a camera's aperture, field, plane in focus and film."""
-    values = {
+    return {
         "type": "thinlens",
         "fov": math.degrees(2 * math.atan(camera.detector_width / (2 * camera.mla_distance))),
         "fov_axis": "x",
@@ -60,8 +59,7 @@ def thinlens(camera, **changes):
         "focus_distance": camera.focus_distance,
         "near_clip": 1.0,
         "film": camera.to_sensor()["film"],
-    }
-    return values | changes
+    } | changes
 
 
 @pytest.mark.parametrize(
@@ -110,8 +108,7 @@ def test_a_prescription_vignettes_as_rays_traced_one_by_one():
     for row in range(10):
         column = 3 * row // 2
         place = camera.pixel_coordinates(0)[column], camera.pixel_coordinates(1)[row]
-        is_open = lens.ray((x, y), tuple(at + 0 * x for at in place))[2]
-        traced.append(is_open.sum() * (axis[1] - axis[0]) ** 2 / math.pi)
+        traced.append(lens.ray((x, y), tuple(at + 0 * x for at in place))[2].sum() * (axis[1] - axis[0]) ** 2 / math.pi)
         read.append(image[row, column])
     assert traced[0] < 0.4 * traced[-1]
     assert traced[-1] == pytest.approx(1, abs=0.05)
@@ -136,8 +133,7 @@ def test_a_parameter_of_an_array_is_refused_and_absent(name):
 
 def test_cameras_are_replaced_both_ways():
     thin = {name: value for name, value in ordinary().to_dict().items() if name != "mla_lattice"}
-    array = PlenopticCamera(**thin, mla_pitch=0.1, mla_tilt=(1.0, 0.0))
-    assert array.replace(mla_lattice="none") == ordinary()
+    assert PlenopticCamera(**thin, mla_pitch=0.1, mla_tilt=(1.0, 0.0)).replace(mla_lattice="none") == ordinary()
     assert ordinary().replace(mla_lattice="square") == PlenopticCamera(**thin)
     assert ordinary().replace(mla_lattice="hexagonal", mla_pitch=0.2).mla_pitches == (0.2, 0.2)
     truncated = ordinary().to_dict()
@@ -169,11 +165,9 @@ def test_what_needs_an_array_refuses_by_name(name):
 
 
 def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, monkeypatch):
-    """Squares of the scene by similar triangles."""
     monkeypatch.chdir(tmp_path)
     camera = ordinary(resolution=(96, 64))
-    scene = scene_of(camera.to_sensor(), **depths())
-    truth = mp.ground_truth(scene, ["depth", "shape_index"])
+    truth = mp.ground_truth(scene_of(camera.to_sensor(), **depths()), ["depth", "shape_index"])
     x, y = (-camera.pixel_coordinates(axis) / camera.mla_distance for axis in (0, 1))
     expected, names = np.full(camera.shape, np.inf), np.full(camera.shape, "", object)
     # Nearest last.
@@ -188,13 +182,13 @@ def test_ground_truth_is_that_of_rays_through_the_middle_of_the_pupil(tmp_path, 
     assert mp.read_ground_truth("a.truth.exr").views == {}
 
 
-PIXELS = {"pixel_response": (0.0, 1.0, 4.0, 0.8, 8.0, 0.1)}
+RESPONSE = (0.0, 1.0, 4.0, 0.8, 8.0, 0.1)
 
 
 @pytest.mark.parametrize("model", ["ray", "wave"])
 def test_pixels_respond_by_the_direction_of_light(model):
     """The mean of the response over the pupil, whose direction is that from its points to the pixel."""
-    camera = ordinary(aperture_radius=5.0, **PIXELS)
+    camera = ordinary(aperture_radius=5.0, pixel_response=RESPONSE)
     found = render_capture(scene_of(camera.to_sensor(), **WHITE), model=model, spp=2**13).image
     P = np.linspace(-5, 5, 200)
     inside = np.hypot(P, P[:, None]) <= 5
@@ -202,9 +196,7 @@ def test_pixels_respond_by_the_direction_of_light(model):
     expected = np.empty(camera.shape)
     for row, column in np.ndindex(*camera.shape):
         angle = np.degrees(np.arctan(np.hypot(P - x[column], P[:, None] - y[row]) / camera.mla_distance))
-        expected[row, column] = np.interp(angle, PIXELS["pixel_response"][::2], PIXELS["pixel_response"][1::2])[
-            inside
-        ].mean()
+        expected[row, column] = np.interp(angle[inside], RESPONSE[::2], RESPONSE[1::2]).mean()
     assert np.ptp(expected) > 0.2 and found == pytest.approx(expected, abs=0.015)
 
 

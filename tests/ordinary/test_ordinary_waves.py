@@ -60,13 +60,11 @@ def test_coarse_pixels_displace_rays_by_finite_steps():
 
 def test_white_has_hardly_any_noise():
     """Every coefficient but the first is of light less its mean; far beyond the film some pixels stand for others."""
-    camera = ordinary_camera(1.0, 16)
-    image = by_waves(scene_of(camera.to_sensor(), "path", sky={"type": "constant"}), 8)
+    image = by_waves(scene_of(ordinary_camera(1.0, 16).to_sensor(), "path", sky={"type": "constant"}), 8)
     assert np.allclose(image, 1, atol=1e-3)
 
 
 def textured(camera):
-    """A matte, textured wall in the light of a sky."""
     texture = mi.Bitmap(np.random.default_rng(0).random((8, 8, 3)).astype(np.float32))
     reflectance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest"}
     card = facing(250.0, 3.0, bsdf={"type": "diffuse", "reflectance": reflectance})
@@ -75,7 +73,6 @@ def textured(camera):
 
 SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0.008}
 F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
-
 
 GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000}
 
@@ -92,14 +89,12 @@ def test_waves_keep_the_light_of_rays(variant, changes):
     mi.set_variant(variant)
     scene = textured(mp.PlenopticCamera(**F10 | changes))
     rays = mp.render_capture(scene, model="ray", spp=512).image.mean((0, 1))
-    waves = mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1))
-    assert waves == pytest.approx(rays, rel=0.015)
+    assert mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1)) == pytest.approx(rays, rel=0.015)
 
 
 def test_noise_is_no_larger_than_that_of_rays():
     """Neighbours share rays, where diffraction blurs."""
-    camera = ordinary_camera(1.0, 24)
-    scene, _ = textured_wall(camera, 3, 0.5)
+    scene, _ = textured_wall(ordinary_camera(1.0, 24), 3, 0.5)
     spread = {}
     for model, options in (("ray", {}), ("wave", {"wavelength": ORDINARY_WAVELENGTH})):
         images = [mp.render_capture(scene, model=model, spp=32, seed=seed, **options).image for seed in range(6)]
@@ -131,7 +126,6 @@ def test_what_waves_refuse():
     (key,) = (key for key in parameters.keys() if key.endswith("focal_length"))  # noqa: SIM118
     dr.enable_grad(parameters[key])
     parameters.update()
-    integrator = mi.load_dict({"type": "plenoptic_wave"})
-    image = mi.render(scene, parameters, integrator=integrator, spp=2)
+    image = mi.render(scene, parameters, integrator=mi.load_dict({"type": "plenoptic_wave"}), spp=2)
     with pytest.raises(Exception, match=r"derivatives of .*mla_lattice = none"):
         dr.backward(dr.sum(image, axis=None))

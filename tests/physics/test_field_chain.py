@@ -46,7 +46,6 @@ def step_of(name, other="cut and moved"):
 
 
 def lens(x, y):
-    """A tilted lens with a stop beside it."""
     waves = (x * x + 2 * y * y) / 1e-3 + 17 * x
     if isinstance(x, np.ndarray):
         return np.exp(2j * np.pi * waves) * (x > -0.01)
@@ -71,8 +70,7 @@ def frequencies(axis):
 
 
 def to_frequencies(axis):
-    waves = np.outer(frequencies(axis), axis.pitch * np.arange(axis.count))
-    return np.exp(-2j * np.pi * waves) / axis.padded
+    return np.exp(-2j * np.pi * np.outer(frequencies(axis), axis.pitch * np.arange(axis.count))) / axis.padded
 
 
 def to_samples(axis):
@@ -184,8 +182,7 @@ def plain_field(camera, point, pitch, count):
     array = plain_angular_spectrum(pupil, pitch, camera.mla_distance)
     size = round(1.5 * camera.detector_width / pitch / 2) * 2
     middle = slice(count // 2 - size // 2, count // 2 + size // 2)
-    steepest = (radius + camera.detector_width / 2) / camera.mla_distance
-    line = plain_microlenses(place[middle], camera, pitch, steepest)
+    line = plain_microlenses(place[middle], camera, pitch, (radius + camera.detector_width / 2) / camera.mla_distance)
     return plain_angular_spectrum(array[middle, middle] * line * line[:, None], pitch, camera.detector_distance)
 
 
@@ -215,5 +212,4 @@ def plain(amplitudes):
 @pytest.mark.needs_extension("laser")
 def test_a_coherent_sum_is_that_of_plain_numpy():
     fields = CaptureOperator(CAMERA, POINTS, wavelength=WAVELENGTH, method="full_field").coherent_fields
-    found = fields.intensity(np.array([1, 0.8j], np.complex64))
-    assert error(found, plain([1, 0.8j])) < 3e-3
+    assert error(fields.intensity(np.array([1, 0.8j], np.complex64)), plain([1, 0.8j])) < 3e-3

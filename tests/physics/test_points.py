@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cameras import CAMERAS, WAVELENGTH, error, seen_by
+from cameras import CAMERAS, WAVELENGTH, capture, error, seen_by
 
 from mitsuba_plenoptic import CaptureOperator
 from mitsuba_plenoptic.camera import shortest_parts
@@ -12,11 +12,8 @@ from tools.bench.cases.derivatives import STEP, difference
 @pytest.mark.parametrize("name", ["microscope", "real"])
 def test_patches_are_full_fields(name):
     """Behind real main lenses; a relation compares them behind others."""
-    weights = np.array([1.0, 2.0])
     patch, full = (
-        CaptureOperator(CAMERAS[name], seen_by(name), wavelength=WAVELENGTH, accuracy=accuracy, method=method).forward(
-            weights
-        )
+        capture(CAMERAS[name], seen_by(name), [1.0, 2.0], accuracy=accuracy, method=method)
         for method, accuracy in (("patch", 0), ("full_field", None))
     )
     assert patch.shape == full.shape == CAMERAS[name].shape
@@ -63,5 +60,4 @@ def test_points(camera, name):
     operator = CaptureOperator(start, [point], wavelength=WAVELENGTH, accuracy=0)
     change = operator.derivative([1.0], {name: last})
     step = STEP * np.linalg.norm(operator.forward([1.0])) / np.linalg.norm(change)
-    expected = difference(start, point, name, last, step, finer=1.0, window=1.5)
-    assert error(change, expected) < SLOPES.get(name, 0.008)
+    assert error(change, difference(start, point, name, last, step, finer=1.0, window=1.5)) < SLOPES.get(name, 0.008)

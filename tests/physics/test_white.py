@@ -31,8 +31,7 @@ def test_views_of_a_white_scene_by_waves_read_one(name, pixels):
     for values, weight in ((lf.values.mean((2, 3)), lf.weight.values.min((2, 3))), (images.values, images.weight)):
         assert values[weight > 0].mean() == pytest.approx(1, abs=0.002)
     # By a white image of rays, up to 1.26, and more.
-    whole = lf.weight.values.min((2, 3)) > 0
-    assert np.abs(lf.values.mean((2, 3))[whole] - 1).max() < 0.05
+    assert np.abs(lf.values.mean((2, 3))[lf.weight.values.min((2, 3)) > 0] - 1).max() < 0.05
 
 
 NARROWING = Vignetting([0.9, 0.1, 0, -0.3, 0, -0.3], scale=0.2, ellipse_y=[0.05], apodisation_2=[-0.3])
@@ -69,8 +68,7 @@ def test_white_by_rays_has_little_noise(changes):
 
 def little_noise(found, captures, limit):
     found = found.astype(float)
-    lit = found > 0.01 * found.max()
-    error = np.mean(np.prod([found - capture for capture in captures], axis=0)[lit])
+    error = np.mean(np.prod([found - capture for capture in captures], axis=0)[found > 0.01 * found.max()])
     assert error < (limit * np.quantile(found, 0.95)) ** 2
     assert found.mean() == pytest.approx(np.mean(captures, dtype=float), rel=5e-4)
 

@@ -36,8 +36,7 @@ def model_centres(camera):
     x = math.cos(angle) * u - math.sin(angle) * v + camera.mla_offset[0]
     y = math.sin(angle) * u + math.cos(angle) * v + camera.mla_offset[1]
     scale = (camera.mla_distance + camera.detector_distance) / camera.mla_distance / camera.pixel_size
-    places = np.stack([x, y], axis=-1) * scale
-    return places + np.array(camera.resolution) / 2 - camera.crop_offset
+    return np.stack([x, y], axis=-1) * scale + np.array(camera.resolution) / 2 - camera.crop_offset
 
 
 @pytest.mark.parametrize("lattice", [{}, STRETCHED], ids=str)
@@ -90,8 +89,7 @@ def test_opaque_gaps_swallow_what_is_focused_on_them():
 
     def brightness(x, fill):
         # The lens at the axis's upper right has its centre at 0.032 mm on both axes.
-        source = disk([-2 * x, -2 * 0.032, 240], 2e-3)
-        scene = scene_of(SMALL.replace(mla_fill=fill).to_sensor(), source=source)
+        scene = scene_of(SMALL.replace(mla_fill=fill).to_sensor(), source=disk([-2 * x, -2 * 0.032, 240], 2e-3))
         return render_capture(scene, spp=2048, seed=1).image.sum()
 
     assert brightness(0.052, 0.5) == 0

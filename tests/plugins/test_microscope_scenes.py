@@ -27,10 +27,6 @@ def scene_of(objects):
     return mi.load_dict({"type": "scene", "sensor": CAMERA.to_sensor(), "integrator": {"type": "path"}} | objects)
 
 
-def wave_capture(objects, **options):
-    return render_capture(scene_of(objects), model="wave", wavelength=550, **options)
-
-
 def lambert(tilt):
     """Power over the stop that a point of the disc sends, over that of a point which radiates evenly."""
     sx, sy = 0.5 * AXIS, 0.5 * AXIS[:, None]
@@ -56,7 +52,8 @@ def exact(points, weights, over_stop):
 def test_a_disc_is_the_sum_of_its_points(depth, tilt, limit):
     """Facing the objective, and turned by an angle at which Lambert's law matters."""
     expected = exact(*points_of(depth, math.radians(tilt)), lambert(math.radians(tilt)))
-    one, two = (wave_capture({"light": disc(depth, tilt)}, spp=256, seed=seed).image for seed in (0, 1))
+    scene = scene_of({"light": disc(depth, tilt)})
+    one, two = (render_capture(scene, model="wave", wavelength=550, spp=256, seed=seed).image for seed in (0, 1))
     # Without the noise, which is another one in each.
     assert np.vdot(one - expected, two - expected) < (limit * np.linalg.norm(expected)) ** 2
     assert one.sum() + two.sum() == pytest.approx(2 * expected.sum(), rel=0.01)

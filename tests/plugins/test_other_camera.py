@@ -25,12 +25,10 @@ def test_objects_without_names_and_the_film_of_colours_are_kept(tmp_path):
 
 
 def test_a_scene_without_a_camera_is_seen_from_the_origin(tmp_path):
-    (tmp_path / "scene.xml").write_text(
-        '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"/></scene>'
-    )
-    camera = mp.PlenopticCamera.preset("lytro").replace(
-        mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5)
-    )
+    text = '<scene version="3.0.0"><integrator type="path"/><shape type="sphere"/></scene>'
+    (tmp_path / "scene.xml").write_text(text)
+    lytro = mp.PlenopticCamera.preset("lytro")
+    camera = lytro.replace(mla_tilt=(0.1, -0.2), distortion=(1e-4, -1e-6, 1e-8, 1e-5, -2e-5))
     sensor = mp.with_camera(mp.load_scene(tmp_path / "scene.xml"), camera).sensors()[0]
     assert mp.PlenopticCamera.from_sensor(sensor) == camera
     assert np.array_equal(np.ravel(sensor.world_transform().translation()), [0, 0, 0])
@@ -81,8 +79,7 @@ def test_instances_ids_and_meters_stay_and_the_picture_is_that_of_the_scenes_own
 
 def test_files_dictionaries_and_names_stand_for_scenes_and_presets_for_cameras(tmp_path):
     path = write_scene(tmp_path)
-    made = mp.with_camera(path, "lytro")
-    assert made.sensors()[0].camera == mp.PlenopticCamera.preset("lytro")
+    assert mp.with_camera(path, "lytro").sensors()[0].camera == mp.PlenopticCamera.preset("lytro")
     described = {"type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant"}}
     described["camera"] = ORDINARY.to_sensor()
     images = [mp.render_capture(scene, spp=4).image for scene in (described, mp.load_scene(described))]
@@ -102,9 +99,8 @@ def test_the_camera_stands_where_the_named_or_the_first_camera_stood():
         assert (made.id(), made.world_transform().translation().x[0]) == (name, x)
     with pytest.raises(mp.InputError, match="sensor = 3"):
         mp.with_camera(scene, ORDINARY, sensor=3)
-    both = mp.load_scene(
-        {"type": "scene", "both": {"type": "batch", "film": {"type": "hdrfilm", "width": 4}, **cameras}}
-    )
+    batch = {"type": "batch", "film": {"type": "hdrfilm", "width": 4}, **cameras}
+    both = mp.load_scene({"type": "scene", "both": batch})
     with pytest.raises(mp.InputError, match="sensor BatchSensor 'both'"):
         mp.with_camera(both, ORDINARY)
 
@@ -139,9 +135,8 @@ def test_bands_of_a_spectral_film_are_not_lost_without_a_word():
 
 def test_samplers_are_asked_for_no_other_count_and_keep_theirs(capfd):
     sensor = ORDINARY.to_sensor() | {"sampler": {"type": "orthogonal", "sample_count": 25}}
-    scene = mp.load_scene(
-        {"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "camera": sensor}
-    )
+    described = {"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}, "camera": sensor}
+    scene = mp.load_scene(described)
     for model in ("ray", "wave"):
         mp.render_capture(scene, model=model)
     mp.render_capture(scene, model="ray", spp=4)
@@ -169,19 +164,15 @@ def test_plugins_are_made_in_the_thread_that_loads(tmp_path):
     assert found == [threading.get_ident()] * 16
 
 
-def shapes(along):
-    """Describe a mesh, a sphere and an instance, which are moved across the view, before a dim sky."""
+def shapes(x):
     T, lamp = mi.ScalarTransform4f(), {"type": "area", "radiance": 2.0}
+    copy = {"type": "instance", "to_world": T.translate([-40, x, 400]).scale(8), "tree": {"type": "ref", "id": "group"}}
     return {
         **{"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant", "radiance": 0.1}},
-        "box": {"type": "cube", "to_world": T.translate([along, 0, 400]).scale(8), "lamp": lamp},
-        "ball": {"type": "sphere", "center": [40 - along, 0, 400], "radius": 8, "lamp": lamp},
+        "box": {"type": "cube", "to_world": T.translate([x, 0, 400]).scale(8), "lamp": lamp},
+        "ball": {"type": "sphere", "center": [40 - x, 0, 400], "radius": 8, "lamp": lamp},
         "group": {"type": "shapegroup", "cube": {"type": "cube"}},
-        "copy": {
-            "type": "instance",
-            "to_world": T.translate([-40, along, 400]).scale(8),
-            "tree": {"type": "ref", "id": "group"},
-        },
+        "copy": copy,
     }
 
 

@@ -16,13 +16,9 @@ def white_scene(sensor, **extra):
     return scene_of(sensor, sky={"type": "constant"}, **extra)
 
 
-def picture_wall(texture, distance, half_width):
-    """Radiating wall facing the camera, with a smooth texture."""
-    return {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, distance]).rotate([0, 1, 0], 180).scale(half_width),
-        "emitter": {"type": "area", "radiance": {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True}},
-    }
+def picture_wall(texture, *place):
+    radiance = {"type": "bitmap", "data": mi.TensorXf(texture), "raw": True}
+    return facing(*place, emitter={"type": "area", "radiance": radiance})
 
 
 def smooth_texture(size=32):
@@ -71,8 +67,7 @@ def test_extra_outputs_are_those_of_rays_that_pass(camera, is_one):
     # Weights of 0 and 1 are their own squares; of other weights the mean square is the larger.
     assert np.allclose(of["m2_a.Y"], image[..., 0], atol=1e-6) == is_one
     assert (of["m2_a.Y"] >= image[..., 0] ** 2 - 1e-6).all()
-    expected = outputs(camera, {"type": "volpath"})[0]
-    assert image.mean() == pytest.approx(expected.mean(), rel=0.01)
+    assert image.mean() == pytest.approx(outputs(camera, {"type": "volpath"})[0].mean(), rel=0.01)
 
 
 def test_stokes_vectors_of_polarized_light_are_as_bright_as_the_image():
@@ -149,8 +144,7 @@ def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
         detector_width=30064 * 0.002, resolution=(30064, 64), crop_offset=(30000, 0), crop_size=(64, 64),
         mla_medium=1.5, mla_focal_length=0.768, lens_model=lens_model,
     )  # fmt: skip
-    wall = picture_wall(smooth_texture(128), 210.0, 1.2)
-    wall["to_world"] = mi.ScalarTransform4f().translate([-30.0 * 210 / 120, 0, 0]) @ wall["to_world"]
+    wall = picture_wall(smooth_texture(128), 210.0, 1.2, (-30.0 * 210 / 120, 0.0))
     scene = scene_of(camera.to_sensor(), "path", wall=wall)
     gradient, difference = derivatives(scene, parameter, 256, 1e-4 * getattr(camera, parameter))
     # Away from the pupil's moving edge, which white images have where light goes without Snell's law.
@@ -268,10 +262,8 @@ SMALL = {"resolution": (64, 64), "detector_width": 0.128}
 FLINT = {"index": 1.7, "abbe": 30.0}
 
 
-def sensor_of(camera, pixel_format="rgb"):
-    described = camera.to_sensor()
-    described["film"]["pixel_format"] = pixel_format
-    return mi.load_dict(described)
+def sensor_of(camera):
+    return mi.load_dict(camera.to_sensor(pixel_format="rgb"))
 
 
 def rays(sensor, channel, count=256):
@@ -312,10 +304,8 @@ def test_polarized_variants_record_the_same_light_through_glass():
     images = []
     for variant in ("llvm_ad_spectral", "llvm_ad_spectral_polarized"):
         mi.set_variant(variant)
-        camera = PlenopticCamera(main_lens="double_gauss", **SMALL)
-        light = {"sky": {"type": "constant"}, "integrator": {"type": "direct"}}
-        scene = mi.load_dict({"type": "scene", "camera": camera.to_sensor()} | light)
-        images.append(render_capture(scene, spp=2).image)
+        sensor = PlenopticCamera(main_lens="double_gauss", **SMALL).to_sensor()
+        images.append(render_capture(white_scene(sensor, integrator="direct"), spp=2).image)
     np.testing.assert_allclose(images[1], images[0], rtol=1e-4, atol=1e-5)
 
 
@@ -323,39 +313,27 @@ def test_spectral_rays_follow_their_first_wavelength():
     mi.set_variant("llvm_ad_spectral")
     camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, **SMALL)
     ray, weight = rays(sensor_of(camera), 0)
-    alone = PlenopticCamera(**SMALL)
     wavelengths = np.array(ray.wavelengths)[0]
     weight = np.array(weight)
     assert np.all(weight[1:] == 0) and np.any(weight[0] > 0)
-    plain, _ = rays(sensor_of(alone), 0)
+    plain, _ = rays(sensor_of(PlenopticCamera(**SMALL)), 0)
     for lane in np.flatnonzero(weight[0] > 0)[:3]:
-        there = camera.at_wavelength(float(wavelengths[lane]))
-        other, _ = rays(sensor_of(there), 0)
+        other, _ = rays(sensor_of(camera.at_wavelength(float(wavelengths[lane]))), 0)
         assert np.abs(np.array(other.d)[:, lane] - np.array(ray.d)[:, lane]).max() < 2e-6
         if abs(wavelengths[lane] - 587.56) > 30:
             assert np.abs(np.array(plain.d)[:, lane] - np.array(ray.d)[:, lane]).max() > 1e-5
 
 
-def wall(camera, variant):
-    mi.set_variant(variant)
-    described = camera.to_sensor()
-    described["film"]["pixel_format"] = "rgb"
-    T = mi.ScalarTransform4f
-    texture = {"type": "checkerboard", "to_uv": T().scale([40, 40, 1]), "color0": 0.1, "color1": 0.9}
-    board = {
-        "type": "rectangle", "to_world": T().translate([0, 0, 240]).scale(10).rotate([0, 1, 0], 180),
-        "emitter": {"type": "area", "radiance": texture},
-    }  # fmt: skip
-    return mi.load_dict({"type": "scene", "camera": described, "board": board, "integrator": {"type": "direct"}})
-
-
 def test_every_channel_is_the_capture_at_its_wavelength():
     """Of thin lenses of glass, against cameras with the focal lengths of each wavelength, without dispersion."""
-    camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, resolution=(64, 64), detector_width=0.128)
+    mi.set_variant("llvm_ad_rgb")
+    scale = mi.ScalarTransform4f().scale([40, 40, 1])
+    board = facing(240.0, 10.0, **radiating({"type": "checkerboard", "to_uv": scale, "color0": 0.1, "color1": 0.9}))
+    camera = PlenopticCamera(glass=FLINT, mla_glass=FLINT, **SMALL)
 
     def capture(camera, spp):
-        image = render_capture(wall(camera, "llvm_ad_rgb"), spp=spp).image
-        return image.reshape(16, 4, 16, 4, 3).mean((1, 3))
+        scene = scene_of(camera.to_sensor(pixel_format="rgb"), "direct", board=board)
+        return render_capture(scene, spp=spp).image.reshape(16, 4, 16, 4, 3).mean((1, 3))
 
     found, plain = capture(camera, 768), capture(camera.replace(glass=None, mla_glass=None), 256)
     for channel, wavelength in ((0, RGB_WAVELENGTHS[0]), (2, RGB_WAVELENGTHS[2])):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cameras import disk, error, pattern_count, sky
+from cameras import capture, disk, error, pattern_count, sky
 from cases import scene_of
 from numpy.polynomial.legendre import leggauss
 from scipy.special import j0
@@ -53,8 +53,7 @@ def test_the_field_before_the_lenses_is_the_debye_integral(objective, depth):
 
 def test_the_sign_of_the_depth_is_that_of_the_frame():
     """The image of what lies beyond the native plane stands before the array: its light diverges from there."""
-    lens = TelecentricLens(AIR)
-    upper = (0.0, 1.0)
+    lens, upper = TelecentricLens(AIR), (0.0, 1.0)
     assert lens.land(upper, (0.0, 0.0, 0.01))[1] < 0 < lens.land(upper, (0.0, 0.0, -0.01))[1]
     # Light through the upper half of the stop goes down behind the tube lens.
     assert lens.cosines(upper, (0.0, 0.0, 0.01))[1] < 0
@@ -68,10 +67,7 @@ def test_rays_are_perpendicular_to_the_waves(objective):
     def path(x, y):
         return lens.path((np.float64(x), np.float64(y)), point, WAVELENGTH) * WAVELENGTH * 1e-6
 
-    slope = [
-        (path(P[0] + step, P[1]) - path(P[0] - step, P[1])) / (2 * step),
-        (path(P[0], P[1] + step) - path(P[0], P[1] - step)) / (2 * step),
-    ]
+    slope = [(path(*(P + move)) - path(*(P - move))) / (2 * step) for move in step * np.eye(2)]
     place, cosine = lens.land(tuple(P), point), lens.cosines(tuple(P), point)
     image = np.array(slope) * objective.tube_focal_length
     if objective.is_fourier:
@@ -83,8 +79,7 @@ def test_rays_are_perpendicular_to_the_waves(objective):
     # The ray back from there comes to the point; z rises towards the scene, light goes the other way.
     start, back, is_open = lens.trace(place, tuple(-c for c in cosine))
     at_point = [s + t * (point[2] - start[2]) for s, t in zip(start[:2], back, strict=True)]
-    assert is_open
-    assert np.allclose(at_point, point[:2], atol=1e-9)
+    assert is_open and np.allclose(at_point, point[:2], atol=1e-9)
 
 
 def test_every_image_moves_alike():
@@ -93,8 +88,7 @@ def test_every_image_moves_alike():
     points = np.array([[-0.007, -0.006, 0.012]] * 3) - np.array([[0, 0, 0], [0.15, 0, 0], [0, 0.3, 0]]) / 20
     shared = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.02)
     assert pattern_count(shared, WAVELENGTH) == 1
-    alone = [mp.CaptureOperator(camera, points[[n]], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3)]
-    apart = sum(operator.forward([weight]) for weight, operator in enumerate(alone, start=1))
+    apart = sum(capture(camera, points[[n]], [n + 1], wavelength=WAVELENGTH, accuracy=0.02) for n in range(3))
     assert error(shared.forward([1, 2, 3]), apart) < 1e-4
 
 
@@ -137,10 +131,8 @@ def test_each_lens_of_a_fourier_microscope_has_its_part_of_the_stop():
 def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     """Its width at half of the peak is 1.029 wavelengths times its f-number."""
     camera = fourier_camera(mla_aperture="circle", detector_width=0.5, resolution=(300, 300))
-    spread = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")
-    row = spread[149:151].mean(0)
-    x = camera.pixel_coordinates(0)
-    edge = np.interp(-row.max() / 2, -row[150:], x[150:])
+    row = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")[149:151].mean(0)
+    edge = np.interp(-row.max() / 2, -row[150:], camera.pixel_coordinates(0)[150:])
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
 
 
@@ -152,13 +144,11 @@ def test_rays_of_white_fill_the_micro_images():
 
 def test_rays_see_a_small_light_where_waves_do():
     camera, X, Y, depth = camera_with(AIR), 0.0078, -0.0072, 0.02
-    scene = scene_of(camera.to_sensor(), "direct", light=disk([X, Y, depth], 4e-4))
-    by_rays = mp.render_capture(scene, spp=1024).image
+    by_rays = mp.render_capture(scene_of(camera.to_sensor(), "direct", light=disk([X, Y, depth], 4e-4)), spp=1024).image
     # A surface shines with the cosine, which a point does not.
     cells = (np.arange(64) + 0.5) / 32 - 1
     cosine = np.sqrt(1 - 0.25 * np.minimum(cells**2 + cells[:, None] ** 2, 1))
-    operator = mp.CaptureOperator(camera, [(X, Y, depth)], wavelength=WAVELENGTH, pupil_weights=cosine[None])
-    by_waves = operator.forward([1.0])
+    by_waves = capture(camera, [(X, Y, depth)], [1.0], wavelength=WAVELENGTH, pupil_weights=cosine[None])
     x = camera.pixel_coordinates(0)
     for image in (by_rays, by_waves):
         image /= image.sum()
@@ -174,8 +164,8 @@ def test_a_bead_comes_back_to_its_place():
     camera = camera_with(AIR, detector_width=1.05, resolution=(105, 105))
     place, depth = (0.0041, -0.0023), 0.02
     spread = mp.point_spread_function(camera, (*place, depth), wavelength=WAVELENGTH)
-    capture = mp.Capture(spread, camera, WAVELENGTH, "wave", {})
-    found = mp.reconstruct(capture, depth, method="deconvolved", oversample=3, iterations=15)
+    seen = mp.Capture(spread, camera, WAVELENGTH, "wave", {})
+    found = mp.reconstruct(seen, depth, method="deconvolved", oversample=3, iterations=15)
     image = np.nan_to_num(found.image)
     # Pictures have +x to the left and +y up.
     rows, columns = ((size / 2 - np.arange(size) - 0.5) * found.bin_size for size in image.shape)

@@ -21,7 +21,6 @@ SMALL = small_camera(4, **HALF)
 
 
 def near(count):
-    """Return scattered points before it."""
     return scattered(count, distances=(112.0, 128.0), image=0.05)
 
 
@@ -34,8 +33,7 @@ def half_open(cells=16):
 def test_a_surface_seen_slantwise_sends_more_light_to_one_side_of_the_pupil(method):
     r"""Power 1 + s x over a disc: the half at +x gets :math:`1/2 + 2 s / 3 \pi` of it."""
     weights = replace(PupilWeights.of(np.ones((1, 1, 1), bool), 1), slant=np.array([[0.3, 0.0]]))
-    point = np.array([(0.0, 0.0, 112.5)])
-    image = capture(SMALL, point, [1.0], method=method, pupil_weights=weights, accuracy=0)
+    image = capture(SMALL, np.array([(0.0, 0.0, 112.5)]), [1.0], method=method, pupil_weights=weights, accuracy=0)
     left, right = (half.sum() for half in np.split(image, 2, axis=1))
     # The blur of a point before the focus is upright.
     assert max(left, right) / (left + right) == pytest.approx(0.5 + 0.2 / np.pi, abs=0.003)
@@ -85,8 +83,7 @@ def test_a_job_that_fails_leaves_nothing_under_way():
 
 def test_weights_that_cancel_leave_nothing():
     """Of two radiators at one place, which share a point spread, beside others and alone."""
-    positions = in_every_lens(SMALL, 3, 120.0)[[4, 4, 0]]
-    operator = CaptureOperator(SMALL, positions, wavelength=WAVELENGTH, accuracy=0.1)
+    operator = CaptureOperator(SMALL, in_every_lens(SMALL, 3, 120.0)[[4, 4, 0]], wavelength=WAVELENGTH, accuracy=0.1)
     assert not operator.forward([1.0, -1.0, 0.0]).any()
     assert error(operator.forward([1.0, -1.0, 2.0]), operator.forward([0.0, 0.0, 2.0])) < 1e-6
 
@@ -96,17 +93,15 @@ def test_scipy_multiplies_spectra():
     rng = np.random.default_rng(2)
     spectrum = Spectrum((633, 600, 570, 532), tuple(map(tuple, rng.random((3, 4)).tolist()))).interpolated(2)
     points = np.append(near(3), near(1) + np.array([1e-4, 0, 0]), axis=0)
-    operator = CaptureOperator(
-        SMALL, points, spectrum=spectrum, accuracy=0.01, pupil_weights=rng.uniform(0, 1, (4, 4, 4))
-    )
+    cells = rng.uniform(0, 1, (4, 4, 4))
+    operator = CaptureOperator(SMALL, points, spectrum=spectrum, accuracy=0.01, pupil_weights=cells)
     weights, image = rng.normal(size=(4, 4)), rng.normal(size=(*SMALL.shape, 3))
     assert (operator.source_shape, operator.image_shape) == (weights.shape, image.shape)
     made, back = operator @ weights.ravel(), operator.T @ image.ravel()
     assert (made.reshape(image.shape) == operator.forward(weights)).all()
     assert (back.reshape(weights.shape) == operator.adjoint(image)).all()
     assert made @ image.ravel() == pytest.approx(weights.ravel() @ back, rel=1e-5)
-    both = np.stack([weights.ravel(), -weights.ravel()], 1)
-    assert error(operator @ both, np.stack([made, -made], 1)) < 1e-6
+    assert error(operator @ np.stack([weights.ravel(), -weights.ravel()], 1), np.stack([made, -made], 1)) < 1e-6
 
 
 def test_responses_mix_channels_as_a_matrix():
@@ -122,7 +117,6 @@ def test_responses_mix_channels_as_a_matrix():
 
 @pytest.mark.parametrize("axis", [0, 1])
 def test_half_of_the_pupil_lights_half_of_the_image(axis):
-    """With all of the power, for a point out of focus."""
     camera, position = small_camera(16), [(0.0, 0.0, 210.0)]
     weights = half_open(8) if axis == 1 else half_open(8).T
     half, whole, opened = (
@@ -135,14 +129,16 @@ def test_half_of_the_pupil_lights_half_of_the_image(axis):
     assert error(opened, whole) < 1e-6
 
 
+def shared_and_alone(camera, positions):
+    """Return operators whose points may share spreads, and do not."""
+    return [CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=each) for each in (0.02, 0)]
+
+
 def test_shared_patterns_stay_true():
-    """One pattern for all lenses in a zone, against a propagation of every radiator."""
     camera = small_camera(12)
     positions = in_every_lens(camera, 4, 240.0, per_lens=2, offset=1.7)
     weights = np.random.default_rng(1).uniform(0, 1, len(positions))
-    shared, every = (
-        CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
-    )
+    shared, every = shared_and_alone(camera, positions)
     assert pattern_count(shared) < len(positions) / 2
     assert pattern_count(every) == len(positions)
     assert 0 < error(shared.forward(weights), every.forward(weights)) < 0.01
@@ -159,9 +155,7 @@ def test_unequal_lenses_share_nothing(change):
     """Pupils narrow by a tenth from lens to lens."""
     camera = small_camera(8, **change)
     positions = in_every_lens(camera, 2, 240.0, per_lens=2, offset=1.7)
-    shared, every = (
-        CaptureOperator(camera, positions, wavelength=WAVELENGTH, accuracy=accuracy) for accuracy in (0.02, 0)
-    )
+    shared, every = shared_and_alone(camera, positions)
     assert pattern_count(shared) == len(positions)
     assert error(shared.forward(np.ones(len(positions))), every.forward(np.ones(len(positions)))) < 0.01
 
@@ -178,8 +172,7 @@ def test_many_cores_are_no_reason_to_refuse(monkeypatch):
     alone = few.estimate(Job(batch_map=Threads(2))).memory
     monkeypatch.setattr("mitsuba_plenoptic.runtime.batches.worker_count", lambda: 256)
     assert few.estimate().memory == alone
-    many = CaptureOperator(SMALL, near(100), wavelength=WAVELENGTH)
-    assert alone < many.estimate().memory < 4 * 2**30
+    assert alone < CaptureOperator(SMALL, near(100), wavelength=WAVELENGTH).estimate().memory < 4 * 2**30
 
 
 @pytest.mark.parametrize(("method", "kind", "count"), [("patch", PatchSum, 30), ("full_field", FullFieldSum, 4)])
@@ -187,11 +180,8 @@ def test_the_estimate_leaves_the_sum_as_soon_as_its_speed_is_known(method, kind,
     monkeypatch.setattr("mitsuba_plenoptic.runtime.progress.SETTLED", 0.0)
     ended = []
     monkeypatch.setattr(kind, "image", lambda *_: ended.append(True))
-    operator = CaptureOperator(SMALL, near(count), wavelength=WAVELENGTH, method=method)
-    cost = operator.estimate(Job(batch_map=Threads(1)))
-    assert not ended
-    assert 0 < cost.seconds < 600
-    assert 0 < cost.memory < 2**32
+    cost = CaptureOperator(SMALL, near(count), wavelength=WAVELENGTH, method=method).estimate(Job(batch_map=Threads(1)))
+    assert not ended and 0 < cost.seconds < 600 and 0 < cost.memory < 2**32
 
 
 def test_many_points_keep_their_power_whatever_hides_others():
@@ -205,12 +195,8 @@ def test_many_points_keep_their_power_whatever_hides_others():
 
 
 def test_pupil_weights_do_not_turn_with_the_lattice():
-    weights = np.zeros((5, 16, 16), bool)
-    weights[:, :, 8:] = True
-    image, again = (
-        capture(camera, near(5), np.ones(5), pupil_weights=weights)
-        for camera in (SMALL, SMALL.replace(mla_rotation=90.0))
-    )
+    cameras, weights = (SMALL, SMALL.replace(mla_rotation=90.0)), np.repeat(half_open()[None], 5, axis=0)
+    image, again = (capture(camera, near(5), np.ones(5), pupil_weights=weights) for camera in cameras)
     assert error(again, image) < 2e-3
 
 
@@ -250,10 +236,9 @@ def test_defocus_of_the_bare_main_lens_in_closed_form():
 
 
 def test_directions_that_do_not_fit_into_memory_are_taken_in_turn(monkeypatch):
-    """Of two wavelengths, each mixed into its channels."""
-    camera = small_camera(2, **HALF)
-    points = scattered(2, distances=(112.0, 128.0), image=0.05)
-    operator = CaptureOperator(camera, points, spectrum=Spectrum.lines(550.0, WAVELENGTH), accuracy=0.1)
+    operator = CaptureOperator(
+        small_camera(2, **HALF), near(2), spectrum=Spectrum.lines(550.0, WAVELENGTH), accuracy=0.1
+    )
     weights = np.random.default_rng(1).uniform(0.5, 1, (2, 2))
     directions = [{"mla_pitch": 1e-3}, {"mla_offset": (1e-3, 0)}, {"focal_length": 0.1}]
     together = operator.jacobian(weights, directions)
@@ -268,27 +253,18 @@ MOVING = {"mla_pitch": (1.0, -0.5), "mla_distance": 1.0, "mla_rotation": 1.0, "d
 """Numbers by which copies change otherwise than their spreads."""
 
 
-@pytest.fixture
-def many(monkeypatch):
-    """Let a few points count as many."""
-    monkeypatch.setattr(accuracy, "_FEW", 8)
-
-
-def operator_of(lattice):
-    camera = small_camera(2, **(HALF | lattice))
-    points = in_every_lens(camera, 4, 118.0)
-    return CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.1), np.linspace(0.3, 1, len(points))
-
-
-def test_copies_change_as_points_of_their_own(many, monkeypatch):
+def test_copies_change_as_points_of_their_own(monkeypatch):
     """Without what tells copies from their spreads the derivative by the pitch is off by more than itself."""
-    operator, weights = operator_of({})
+    # A few points count as many.
+    monkeypatch.setattr(accuracy, "_FEW", 8)
+    camera = small_camera(2, **HALF)
+    points = in_every_lens(camera, 4, 118.0)
+    operator, alone = (CaptureOperator(camera, points, wavelength=WAVELENGTH, accuracy=0.1) for _ in range(2))
+    weights = np.linspace(0.3, 1, len(points))
     shared = operator.jacobian(weights, [{name: change} for name, change in MOVING.items()])
-    assert len(
-        plan.DerivativePlan(OpticalSystem(operator.camera, WAVELENGTH), operator.points, None, 0.1)._positions
-    ) < len(weights)
+    system = OpticalSystem(operator.camera, WAVELENGTH)
+    assert len(plan.DerivativePlan(system, operator.points, None, 0.1)._positions) < len(weights)
     monkeypatch.setattr(plan, "derivatives_share", lambda accuracy, count: False)
-    alone, _ = operator_of({})
     own = alone.jacobian(weights, [{name: change} for name, change in MOVING.items()])
     for name, found, expected in zip(MOVING, shared, own, strict=True):
         assert error(found, expected) < 0.07, name
@@ -300,13 +276,9 @@ def test_copies_change_as_points_of_their_own(many, monkeypatch):
         assert abs(product) < 1e-4 * np.linalg.norm(slope) * np.linalg.norm(image), name
 
 
-def behind(name="double_gauss", **numbers):
-    return small_camera(2, main_lens=name, **(HALF | numbers))
-
-
 def test_changes_of_the_light_against_refitted_lenses():
     """The path, but for its piston, by lenses that are fitted anew to either side."""
-    camera = behind("singlet")
+    camera = small_camera(2, main_lens="singlet", **HALF)
     points = np.array([(0.5, -0.3, 110.0)])
     lens = OpticalSystem(camera, WAVELENGTH).waves_of(points)
     change = lens_change(lens, "wavelength")
@@ -314,11 +286,9 @@ def test_changes_of_the_light_against_refitted_lenses():
     pupil = tuple(part[None] for part in 0.6 * lens.pupil.radius * rng.uniform(-1, 1, (2, 50)))
     fields, inverse_distance = lens.fitted.pupils.field(points)
     lanes = [np.array([[number]]) for number in change.aberration.at(fields, inverse_distance)[0]]
-    field = fields[:, :1], fields[:, 1:]
-    found = change.aberration.over_pupil(lanes, field).value(pupil)
-    high, low = (
-        OpticalSystem(camera, WAVELENGTH + step).waves_of(points).bind(points).length(pupil) for step in (1, -1)
-    )
+    found = change.aberration.over_pupil(lanes, (fields[:, :1], fields[:, 1:])).value(pupil)
+    lenses = (OpticalSystem(camera, WAVELENGTH + step).waves_of(points) for step in (1, -1))
+    high, low = (each.bind(points).length(pupil) for each in lenses)
     expected = (high - low) / 2
     found, expected = found - found.mean(), expected - expected.mean()
     assert np.abs(expected).max() > 1e-6

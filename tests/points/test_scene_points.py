@@ -25,8 +25,7 @@ def wall(distance=240.0, **extra):
 
 def striped(period):
     """Describe an emitter of upright stripes over a square of 4 mm."""
-    count = 2 * round(4 / period)
-    values = np.where(np.arange(count) % 2, 1.0, 0.2).astype(np.float32)[None, :, None]
+    values = np.where(np.arange(2 * round(4 / period)) % 2, 1.0, 0.2).astype(np.float32)[None, :, None]
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(np.repeat(values, 2, 0)), "raw": True, "filter_type": "nearest"}
     return {"emitter": {"type": "area", "radiance": texture}, "bsdf": BLACK}
 
@@ -36,10 +35,8 @@ def by_points(scene, spp=32, **options):
 
 
 def by_signed_rays(scene, spp=256, **options):
-    captures = [
-        render_capture(scene, model="wave", method="signed_rays", spp=spp, seed=seed, **options) for seed in (0, 1)
-    ]
-    return np.mean([capture.image for capture in captures], axis=0)
+    options |= {"model": "wave", "method": "signed_rays", "spp": spp}
+    return np.mean([render_capture(scene, seed=seed, **options).image for seed in (0, 1)], axis=0)
 
 
 def test_surfaces_are_seen_as_by_signed_rays():
@@ -60,8 +57,7 @@ def test_the_light_of_a_small_lamp_is_that_of_its_area():
 
 
 def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
-    card = facing(10.0, (10.0, 20.0), (10.0, 0.0), bsdf=BLACK)
-    scene = scene_of(camera(), card=card, wall=wall())
+    scene = scene_of(camera(), card=facing(10.0, (10.0, 20.0), (10.0, 0.0), bsdf=BLACK), wall=wall())
     points, rays = by_points(scene, 64).image, by_signed_rays(scene)
     # The border of the shadow is soft, and the pupil that it leaves open diffracts.
     assert error(points, rays) < 0.04
@@ -83,8 +79,7 @@ def test_lenses_shifted_to_chief_rays_are_seen_as_by_signed_rays():
     shifts = seen.lattice.displacement
     (x, _), step = shifts.regular(height, 0.0), 0.03
     radial = (shifts.smooth(x + step, 0.0)[0] - shifts.smooth(x - step, 0.0)[0]) / (2 * step)
-    tangential = shifts.smooth(x, step)[1] / step
-    shrunk = (1 + radial) * (1 + tangential)
+    shrunk = (1 + radial) * (1 + shifts.smooth(x, step)[1] / step)
     assert points.sum() / rays.sum() == pytest.approx(shrunk, rel=0.015)
     assert error(points / shrunk, rays) < 0.035
     assert error(by_signed_rays(unshifted), rays) > 0.1

@@ -64,7 +64,6 @@ def test_columns_are_as_few_as_the_spectra_need():
 
 
 def before(board, others=None, **film):
-    """Return the scene of a board, and of others, before a small detector."""
     described = CAMERA.replace(resolution=(64, 64), detector_width=0.128).to_sensor()
     described["film"] |= film
     return scene_of(described, board=facing(125.0, 10.0, **board), **(others or {}))
@@ -108,7 +107,5 @@ def test_spectra_of_colours():
     mi.set_variant("llvm_ad_rgb")
     wavelengths = tuple(np.arange(360, 830.5, 1.0).tolist())
     basis = colour.upsampling(wavelengths)
-    seen = basis @ colour.srgb_responses(np.array(wavelengths)).T
-    assert seen == pytest.approx(np.eye(3), abs=0.01)
-    d65 = np.array(mi.cie_d65(mi.Float(wavelengths)))
-    assert basis.min() >= 0 and basis.sum(0) == pytest.approx(d65, rel=1e-6)
+    assert basis @ colour.srgb_responses(np.array(wavelengths)).T == pytest.approx(np.eye(3), abs=0.01)
+    assert basis.min() >= 0 and basis.sum(0) == pytest.approx(np.array(mi.cie_d65(mi.Float(wavelengths))), rel=1e-6)

@@ -22,8 +22,7 @@ def test_a_sensor_takes_an_objective_as_text_and_as_a_file(tmp_path):
     assert mp.PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor())) == camera
     file = tmp_path / "objective.json"
     file.write_text(json.dumps(AIR.to_plain()))
-    sensor = camera.to_sensor() | {"main_lens": str(file)}
-    assert mp.PlenopticCamera.from_sensor(mi.load_dict(sensor)) == camera
+    assert mp.PlenopticCamera.from_sensor(mi.load_dict(camera.to_sensor() | {"main_lens": str(file)})) == camera
 
 
 def test_presets_have_touching_micro_images():
@@ -50,10 +49,8 @@ def test_the_sheet_of_a_microscope():
     assert rows["Array", "image of the stop"] == "2.5"
     assert rows["Array", "numerical aperture of a lens"] == "0.1"
     assert mp.design.design_warnings(fourier, 550) == []
-    slow = mp.design.design_warnings(
-        mp.PlenopticCamera.preset("lfm").replace(mla_focal_length=1.0, detector_distance=1.0)
-    )
-    assert any("micro-images fill 33% of their pitch" in text for text in slow)
+    slow = mp.PlenopticCamera.preset("lfm").replace(mla_focal_length=1.0, detector_distance=1.0)
+    assert any("micro-images fill 33% of their pitch" in text for text in mp.design.design_warnings(slow))
 
 
 def test_limits_of_deconvolution_follow_the_depth():
@@ -90,20 +87,14 @@ def width_seen(camera, depth, pixels, points):
 @pytest.mark.parametrize("detector_distance", [20.0, 21.5])
 def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, detector_distance):
     further = {"fourier_focal_length": 50} if arrangement == "fourier" else {}
-    camera = mp.PlenopticCamera(
-        main_lens=mp.Objective(20, 0.3, 1.33, arrangement=arrangement, **further),
-        mla_pitch=0.5,
-        mla_focal_length=20,
-        detector_distance=detector_distance,
-        detector_width=4,
-        resolution=(800, 800),
-    )
+    lens = mp.Objective(20, 0.3, 1.33, arrangement=arrangement, **further)
+    array = {"mla_pitch": 0.5, "mla_focal_length": 20, "detector_distance": detector_distance}
+    camera = mp.PlenopticCamera(main_lens=lens, **array, detector_width=4, resolution=(800, 800))
     ends = mp.design.depth_of_field(camera)
     half, pixel = camera.mla_pitch / 2, camera.pixel_size
     for depth in ends:
         lens = width_seen(camera, depth, (0, 0), (-half, half))
-        of_pixel = width_seen(camera, depth, (-pixel / 2, pixel / 2), (0, 0))
-        assert lens == pytest.approx(of_pixel, rel=0.05)
+        assert lens == pytest.approx(width_seen(camera, depth, (-pixel / 2, pixel / 2), (0, 0)), rel=0.05)
     # Lenses focused on a real image before them see nearer depths in the image of the stop, and farther ones elsewhere.
     side = np.sign(detector_distance - 20) * (1 if arrangement == "image" else -1)
     assert ends[0] < ends[1] and {-1: ends[1] < 0, 0: ends[0] == -ends[1], 1: ends[0] > 0}[side]
@@ -111,13 +102,8 @@ def test_at_the_ends_of_the_depth_of_field_a_lens_blurs_by_a_pixel(arrangement, 
 
 def test_depth_of_field_is_levoys():
     """Of matched micro-images, N^2 wavelengths n / 2 NA^2 from end to end, N being the spots in each."""
-    camera = mp.PlenopticCamera(
-        main_lens=mp.Objective(20, 0.05, 1.33),
-        mla_pitch=0.15,
-        mla_focal_length=30,
-        detector_width=3,
-        resolution=(8000, 8000),
-    )
+    array = {"mla_pitch": 0.15, "mla_focal_length": 30, "detector_width": 3, "resolution": (8000, 8000)}
+    camera = mp.PlenopticCamera(main_lens=mp.Objective(20, 0.05, 1.33), **array)
     spots = 0.15 / mp.design.spot_radius(camera, 550)
     near, far = mp.design.depth_of_field(camera, 550)
     assert far - near == pytest.approx(spots**2 * 550e-6 * 1.33 / (2 * 0.05**2), rel=2e-3)

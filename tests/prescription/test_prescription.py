@@ -74,8 +74,7 @@ def test_surfaces_end_where_they_cross():
 def test_blur_and_micro_images_follow_the_exit_pupil():
     """By similar triangles of the cone from the exit pupil, whose place and size Optiland tells."""
     camera = PlenopticCamera(main_lens="double_gauss", focal_length=80, aperture_radius=5)
-    scale = 80 / 100.00375
-    assert camera.pupil_distance == pytest.approx(120 + scale * (-38.516202 + 53.156881), abs=1e-4)
+    assert camera.pupil_distance == pytest.approx(120 + 80 / 100.00375 * (-38.516202 + 53.156881), abs=1e-4)
     assert camera.pupil_radius == pytest.approx(5 * 1.1464013, rel=1e-6)
     image = 1 / (1 / 80 - 1 / 210)
     gap = abs(120 - image) / (camera.pupil_distance + image - 120)

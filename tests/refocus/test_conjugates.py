@@ -80,8 +80,7 @@ def test_a_point_comes_back_to_its_place(method):
     options = {"camera": camera, "method": method, "wavelength": WAVELENGTH, **METHODS[method]}
     image = np.nan_to_num(reconstruct(capture, distance, **options).image)
     x = y = (np.arange(12) - 5.5) * 0.064
-    near = np.hypot(x - place[0], y[:, None] - place[1]) < 0.15
-    light = np.where(near, image, 0)
+    light = np.where(np.hypot(x - place[0], y[:, None] - place[1]) < 0.15, image, 0)
     found = np.array([(light * x).sum(), (light * y[:, None]).sum()]) / light.sum()
     # Deconvolution puts it into the one bin that it lies in.
     assert np.hypot(*(found - place)) < (0.4 if method == "deconvolved" else 0.02) * 0.064
@@ -99,8 +98,7 @@ def test_zones_follow_the_aberrations_over_the_field():
     width = {}
     for name, blur in (("zones", real.blur), ("one", 100.0)):
         used = RealConjugates(real.camera, real.lens, WAVELENGTH, blur)
-        total = reconstruct_subsets(
-            capture, used.camera, [used.distance(g)], WAVELENGTH, oversample=8, conjugates=used
-        )[0]
+        at = [used.distance(g)]
+        total = reconstruct_subsets(capture, used.camera, at, WAVELENGTH, oversample=8, conjugates=used)[0]
         width[name] = total.max() / total.sum()
     assert width["zones"] > 1.1 * width["one"]

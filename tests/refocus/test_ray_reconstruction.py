@@ -78,8 +78,7 @@ def ramp_capture(camera, distance):
     t = (c - p) / camera.detector_distance
     P = c + camera.mla_distance * t
     slope = t - P / camera.focal_length + P / distance
-    half_field = camera.bin_count[0] * camera.mla_pitch / 2 / camera.mla_distance
-    return white_image(camera) * (1 - 0.5 * slope / half_field)
+    return white_image(camera) * (1 - 0.5 * slope / (camera.bin_count[0] * camera.mla_pitch / 2 / camera.mla_distance))
 
 
 @pytest.mark.parametrize("distance", [150.0, 240.0, math.inf])

@@ -43,8 +43,7 @@ def test_voxels_show_the_same_place_of_every_plane():
         inside = (np.abs(cube.x) <= half - 1e-9) & (np.abs(cube.y) <= half - 1e-9)
         np.testing.assert_array_equal(seen, inside.transpose("y", "x").values)
         # Beyond the centre of the last bin its value goes on.
-        middle = (np.abs(cube.x) < 0.9 * half) & (np.abs(cube.y) < 0.9 * half)
-        inner = middle.transpose("y", "x").values
+        inner = ((np.abs(cube.x) < 0.9 * half) & (np.abs(cube.y) < 0.9 * half)).transpose("y", "x").values
         np.testing.assert_allclose(plane.values[inner], expected.transpose("y", "x").values[inner], atol=1e-4)
 
 
@@ -64,14 +63,12 @@ def test_files_hold_voxel_sizes(tmp_path):
     write_volume(tmp_path / "b.ome.tif", uneven)
     with tifffile.TiffFile(tmp_path / "b.ome.tif") as file:
         np.testing.assert_array_equal(np.moveaxis(file.asarray(), 1, -1), uneven.values)
-        pixels = next(
-            entry for entry in ElementTree.fromstring(file.ome_metadata).iter() if entry.tag.endswith("Pixels")
-        )
+        entries = ElementTree.fromstring(file.ome_metadata).iter()
+    pixels = next(entry for entry in entries if entry.tag.endswith("Pixels"))
     assert float(pixels.attrib["PhysicalSizeX"]) == 30 and pixels.attrib["PhysicalSizeXUnit"] == "µm"
     assert "PhysicalSizeZ" not in pixels.attrib
     planes = [entry.attrib for entry in pixels if entry.tag.endswith("Plane")]
-    places = {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes}
-    assert places == {0: 210_000, 1: 220_000, 2: 250_000}
+    assert {int(plane["TheZ"]): float(plane["PositionZ"]) for plane in planes} == {0: 210_000, 1: 220_000, 2: 250_000}
     for name in ("c.png", "c"):
         refuses(r"give a name that ends in .tif or", write_volume, tmp_path / name, volume)
 
@@ -104,12 +101,10 @@ def capture():
 def test_an_estimate_ends_before_the_reconstruction_does(capture, method, options, monkeypatch):
     """With a speed known from the first results on, no method by waves may reach its end."""
     monkeypatch.setattr(progress, "SETTLED", 0.0)
-    ended = []
-    whole = api._refocused
+    ended, whole = [], api._refocused
     monkeypatch.setattr(api, "_refocused", lambda *given: (whole(*given), ended.append(True))[0])
     cost = estimate_reconstruction(capture, 105.0, method=method, **options)
-    assert not ended
-    assert cost.seconds > 0 and cost.memory > 0
+    assert not ended and cost.seconds > 0 and cost.memory > 0
 
 
 def test_short_work_is_done_for_its_estimate(capture, monkeypatch):
@@ -139,15 +134,13 @@ def test_fields_take_strips_where_memory_is_short(capture, monkeypatch):
     assert estimate_reconstruction(capture, 105.0, method="coherent", **WAVES).memory < 0.99 * needed
 
 
-def test_long_work_says_its_time_and_memory(monkeypatch, caplog):
+def test_long_work_says_its_time_and_memory(capture, monkeypatch, caplog):
     caplog.set_level("INFO", logger="mitsuba_plenoptic")
-    camera = small_camera(4, **HALF)
-    white = mp.Capture(white_image(camera), camera)
-    reconstruct(white, 115.0, method="coherent", white=white, **WAVES)
+    reconstruct(capture, 115.0, method="coherent", white=capture, **WAVES)
     assert "takes about" not in caplog.text
     monkeypatch.setattr(progress, "SETTLED", 0.0)
     monkeypatch.setattr(api, "_LONG", 0.0)
-    reconstruct(white, 115.0, method="coherent", white=white, **WAVES)
+    reconstruct(capture, 115.0, method="coherent", white=capture, **WAVES)
     assert re.search(r"method coherent takes about \S+ s and \S+ GiB; method ray", caplog.text)
     assert caplog.text.count("takes about") == 1
 

@@ -18,7 +18,6 @@ from mitsuba_plenoptic.views import white_image
 pytestmark = pytest.mark.filterwarnings("ignore:.*back through the main lens:mitsuba_plenoptic.PhysicsWarning")
 
 SMALL = small_camera(20, **HALF)
-DISTANCES = [105.0, 120.0, 140.0]
 METHODS = {"coherent": {"method": "coherent"}, "auto": {"method": "partial", "interleave": "auto"}}
 
 most_methods = pytest.mark.parametrize("options", METHODS.values(), ids=METHODS.keys())
@@ -57,8 +56,7 @@ def micro_image(camera, i, j, radius=None):
     cx, cy = (((k + 0.5) * camera.mla_pitch) * (b + z) / b for k in (i, j))
     radius = radius or camera.micro_image_diameter / 2
     disc = np.hypot(px - cx, (py - cy)[:, None]) < radius
-    mine = (lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None]
-    return (disc & mine).astype(np.float32)
+    return (disc & ((lens_of(px, camera) == i) & (lens_of(py, camera) == j)[:, None])).astype(np.float32)
 
 
 def bin_of_pixel(p, camera, distance):
@@ -83,7 +81,7 @@ def test_a_lit_pixel_goes_where_geometry_says(options, column, row):
     image = np.zeros(SMALL.shape, np.float32)
     image[row, column] = 1
     px, py = SMALL.pixel_coordinates(0)[column], SMALL.pixel_coordinates(1)[row]
-    for result in refocus(image, DISTANCES, **options):
+    for result in refocus(image, [105.0, 120.0, 140.0], **options):
         expected = [bin_of_pixel(p, SMALL, result.distance) for p in (px, py)]
         # Both pixels look through the inner half of the pupil, which keeps nearly all of their diffracted light.
         np.testing.assert_allclose(centroid(result.image), expected, atol=0.1)
@@ -106,9 +104,8 @@ def test_fine_bins_of_single_lenses_are_those_of_full_fields(oversample):
     image = micro_image(SMALL, 2, -3)
     at = [SMALL.focus_distance]
     full = reconstruct_subsets(image, SMALL, at, WAVELENGTH, oversample=oversample)[0]
-    single, finer = (
-        reconstruct_lens_by_lens(image, SMALL, at, WAVELENGTH, oversample=n * oversample)[0] for n in (1, 4)
-    )
+    bins = (oversample, 4 * oversample)
+    single, finer = (reconstruct_lens_by_lens(image, SMALL, at, WAVELENGTH, oversample=n)[0] for n in bins)
     assert np.linalg.norm(full - single) <= 1e-2 * np.linalg.norm(full)
     count = len(single)
     assert np.linalg.norm(finer.reshape(count, 4, count, 4).sum((1, 3)) - single) <= 1e-5 * np.linalg.norm(single)
@@ -196,8 +193,7 @@ def test_the_command_writes_method_and_camera_into_the_header(tmp_path, run, com
     arguments = ["reconstruct", raw, "-o", out, "--distance", "115", "--method", "partial"]
     run(*arguments, "--interleave", "auto", "--oversample", "2", "--no-relay")
     image, _, header = read_exr(out)
-    assert image.shape == (4, 4)
-    assert (header["method"], header["distance"]) == ("partial", 115.0)
+    assert (image.shape, header["method"], header["distance"]) == ((4, 4), "partial", 115.0)
     assert header["options"] == {"interleave": "auto", "oversample": 2, "relay": False, "wavelength": [633.0]}
     assert PlenopticCamera.from_dict(header["camera"]) == camera
     assert "interleave = 9" in complaint(*arguments, "--interleave", "9")
@@ -211,9 +207,6 @@ def test_few_lenses_far_apart_need_little_memory(monkeypatch):
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.04")
     assert reconstruct_lens_by_lens(image, camera, [160.0], WAVELENGTH)[0].any()
     monkeypatch.setenv("MITSUBA_PLENOPTIC_MEMORY", "0.01")
-    for propagate, what in (
-        (reconstruct_lens_by_lens, "lens by lens"),
-        (reconstruct_subsets, "its wave reconstruction"),
-    ):
+    for propagate, what in ((reconstruct_lens_by_lens, "lens by lens"), (reconstruct_subsets, "wave reconstruction")):
         with pytest.raises(InputError, match=f"{what}: it would need"):
             propagate(image, camera, [160.0], WAVELENGTH)

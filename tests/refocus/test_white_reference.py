@@ -17,10 +17,9 @@ CROPS = [CAMERA.replace(crop_offset=offset, crop_size=(64, 96)) for offset in ((
 
 def test_whites_may_be_by_the_camera_that_recorded_or_the_one_that_is_given():
     found = CAMERA.replace(mla_distance=119.5)
+    dim = mp.Capture(0.5 * WHITE, CAMERA)
     for camera in (CAMERA, found):
-        image = mp.reconstruct(
-            mp.Capture(0.5 * WHITE, CAMERA), 210.0, camera=found, white=mp.Capture(WHITE, camera)
-        ).image
+        image = mp.reconstruct(dim, 210.0, camera=found, white=mp.Capture(WHITE, camera)).image
         np.testing.assert_allclose(image, 0.5, rtol=1e-5)
     with pytest.raises(mp.InputError, match=r"its camera has mla_distance = 119.0, that of the capture 120"):
         white = mp.Capture(WHITE, CAMERA.replace(mla_distance=119.0))
@@ -75,12 +74,10 @@ WHITES = {"narrow": (NARROW, 115.0, {"oversample": 3}), "crop": (CROPS[1], 180.0
 def read_one(capture, distances, options):
     for result in mp.reconstruct(capture, distances, **options):
         image = np.atleast_3d(result.image)
-        middle = image[2:-2, 2:-2]
-        known = np.isfinite(image)
-        assert np.nanmean(middle) == pytest.approx(1, abs=0.01)
+        assert np.nanmean(image[2:-2, 2:-2]) == pytest.approx(1, abs=0.01)
         for rim in (image[:2], image[-2:], image[:, :2], image[:, -2:]):
             assert not np.isfinite(rim).any() or np.nanmean(rim) == pytest.approx(1, abs=0.02)
-        assert known[2:-2, 2:-2].mean() > 0.3
+        assert np.isfinite(image[2:-2, 2:-2]).mean() > 0.3
 
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")

@@ -59,11 +59,10 @@ def straight_rays(camera, radiance, lens_gain=lambda i, j: 1.0):
         behind = [(q - s) / (z + h) for q, s in zip(m, p, strict=True)]
         t = [n * (slope - at / camera.mla_focal_length) for slope, at in zip(behind, aside, strict=True)]
         P = [place + (b - h) * slope for place, slope in zip(m, t, strict=True)]
-        light = lens_gain(i.astype(int), j.astype(int)) * camera.aperture.power(
-            *(q / camera.aperture_radius for q in P)
-        )
+        on_pupil = [q / camera.aperture_radius for q in P]
+        light = lens_gain(i.astype(int), j.astype(int)) * camera.aperture.power(*on_pupil)
         if camera.vignetting is not None:
-            light = light * camera.vignetting.power(*(q / camera.aperture_radius for q in P), *m)
+            light = light * camera.vignetting.power(*on_pupil, *m)
         if camera.pixel_response:
             angle = np.rad2deg(np.arctan(np.hypot(*behind)))
             light = light * np.interp(angle, camera.pixel_response[::2], camera.pixel_response[1::2])

@@ -10,14 +10,8 @@ from mitsuba_plenoptic.design import parallax
 from mitsuba_plenoptic.views import camera_of
 
 LENS = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
-SQUARE = PlenopticCamera(
-    main_lens=LENS,
-    mla_pitch=0.5,
-    mla_focal_length=20.0,
-    mla_offset=(0.25, 0.25),
-    detector_width=2.6,
-    resolution=(260, 260),
-)
+ARRAY = {"mla_pitch": 0.5, "mla_focal_length": 20.0, "mla_offset": (0.25, 0.25)}
+SQUARE = PlenopticCamera(main_lens=LENS, **ARRAY, detector_width=2.6, resolution=(260, 260))
 HEXAGONAL = SQUARE.replace(mla_lattice="hexagonal", mla_offset=(0, 0))
 TO_STOP = -200 / 50
 POINTS = np.array([[0.01, -0.004, 0.02]])
@@ -64,8 +58,7 @@ def test_even_lenses_have_even_views(lf):
     sums = lf.sum(("s", "t")).values[lf.weight.values.max(axis=(2, 3)) > 0.9]
     assert np.ptp(sums) < 0.03 * sums.mean()
     # All of a pixel's lens is lit by a bin of radiance r with what radiance_weight says of it.
-    camera = camera_of(lf)
-    lenses = math.pi * (LENS.blur_diameter(0) / 2) ** 2 / camera.lattice.lens_area
+    lenses = math.pi * (LENS.blur_diameter(0) / 2) ** 2 / camera_of(lf).lattice.lens_area
     assert sums.mean() == pytest.approx(1 / lenses, rel=0.03)
 
 
@@ -80,8 +73,7 @@ def test_a_hexagonal_array_leaves_places_without_a_view(hexagonal):
 
 def test_views_are_upright_and_crops_lose_their_pixels(square):
     whole = decode(square)
-    cropped = SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))
-    part = decode(capture_of(cropped))
+    part = decode(capture_of(SQUARE.replace(crop_offset=(70, 90), crop_size=(120, 100))))
     assert (np.diff(whole.s) < 0).all() and (np.diff(whole.u) < 0).all()
     assert part.shape == whole.shape
     seen = part.weight.values > 0.9
@@ -90,14 +82,12 @@ def test_views_are_upright_and_crops_lose_their_pixels(square):
 
 
 def test_a_white_capture_and_colours(square):
-    capture = square
     white = np.full(SQUARE.shape, 0.5, np.float32)
-    colour = decode(np.repeat(capture.image[..., None], 3, axis=2), camera=SQUARE, white=white)
-    np.testing.assert_allclose(decode(capture, white=6 * white).values, colour.values[..., 0], rtol=1e-5)
-    plain = decode(capture)
+    colour = decode(np.repeat(square.image[..., None], 3, axis=2), camera=SQUARE, white=white)
+    np.testing.assert_allclose(decode(square, white=6 * white).values, colour.values[..., 0], rtol=1e-5)
+    plain = decode(square)
     assert colour.dims == ("v", "u", "t", "s", "c")
     lit = plain.weight.values > 0.9
     # This white knows no stop; its radiance is found by the computed one near the axis.
-    near = float(plain.white.max(("t", "s"))[1:4, 1:4].median())
-    expected = plain.values * plain.white.values / near
+    expected = plain.values * plain.white.values / float(plain.white.max(("t", "s"))[1:4, 1:4].median())
     assert np.allclose(colour.values[..., 0][lit], expected[lit], atol=1e-3 * float(plain.max()))

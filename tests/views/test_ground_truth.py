@@ -21,9 +21,7 @@ ORIGIN = [30, -20, 55]
 
 
 def pose():
-    """Look sideways and up from a place in the world, rolled."""
-    to_world = mi.ScalarTransform4f().translate(ORIGIN).rotate([0, 1, 0], 35)
-    return to_world.rotate([1, 0, 0], -12).rotate([0, 0, 1], 8)
+    return mi.ScalarTransform4f().translate(ORIGIN).rotate([0, 1, 0], 35).rotate([1, 0, 0], -12).rotate([0, 0, 1], 8)
 
 
 def scene_of(camera, to_world, **objects):
@@ -187,11 +185,9 @@ def test_depth_maps_tell_their_error():
     assert pick_views(lf, 3).depth.shape == (3, 3, 32, 32)
     found = depth_map(lf, 230, 300, planes=24)
     error = depth_error(found)
-    assert error.median < 0.01
-    assert error.share > 0.3
+    assert error.median < 0.01 and error.share > 0.3
     # Moving the truth by 1 % moves all errors by as much.
-    moved = depth_error(found.assign(truth=found.truth * 1.05))
-    assert 0.03 < moved.median < 0.06
+    assert 0.03 < depth_error(found.assign(truth=found.truth * 1.05)).median < 0.06
     refuses("no ground truth", depth_error, found.drop_vars("truth"))
 
 
@@ -199,8 +195,7 @@ def test_variants(camera_dict):
     for variant in ("llvm_ad_rgb", "llvm_ad_spectral"):
         mi.set_variant(variant)
         scene = still(CAMERA, pose())
-        depth = mp.ground_truth(scene, ["depth"]).pixels["depth"]
-        assert np.isfinite(depth).any()
+        assert np.isfinite(mp.ground_truth(scene, ["depth"]).pixels["depth"]).any()
         if variant == "llvm_ad_spectral":
             refuses("rgb variant", mp.ground_truth, scene, ["albedo"])
         else:
@@ -212,10 +207,7 @@ def test_what_an_instance_places_is_that_instance():
     to_world = mi.ScalarTransform4f()
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 0.1}}
     copied = {"type": "instance", "group": {"type": "ref", "id": "group"}}
-    placed = {
-        f"copy_{number}": {**copied, "to_world": to_world.translate([x, 0, 240])}
-        for number, x in enumerate((0.2, -0.2))
-    }
+    placed = {f"copy_{n}": copied | {"to_world": to_world.translate([0.2 - 0.4 * n, 0, 240])} for n in (0, 1)}
     wall = {"type": "rectangle", "to_world": to_world.translate([0, 0, 300]).scale(5)}
     scene = mp.load_scene({"type": "scene", "sensor": CAMERA.to_sensor(), "wall": wall, "group": group, **placed})
     truth = mp.ground_truth(scene, ["shape_index", "depth"])
@@ -223,6 +215,6 @@ def test_what_an_instance_places_is_that_instance():
     index, depth = truth.views["shape_index"][middle, middle], truth.views["depth"][middle, middle]
     # +x is to the left.
     left, right = index[:, : index.shape[1] // 2], index[:, index.shape[1] // 2 :]
-    assert {truth.shapes[int(number) - 1] for number in np.unique(left)} == {"wall", "copy_0"}
-    assert {truth.shapes[int(number) - 1] for number in np.unique(right)} == {"wall", "copy_1"}
+    for part, name in ((left, "copy_0"), (right, "copy_1")):
+        assert {truth.shapes[int(number) - 1] for number in np.unique(part)} == {"wall", name}
     assert np.array_equal(depth < 250, index != 1 + truth.shapes.index("wall"))

@@ -42,16 +42,14 @@ def test_rows_of_lenses_turn_about_the_first_centre_and_shift():
     np.testing.assert_allclose(grid.centres(), expected, atol=1e-12)
 
 
-class TestWhiteImage:
-    def test_area_of_one_micro_image(self):
-        single = views.white_image(PAPER, views.LensGrid((32, 32), (256.3, 255.8), (1, 1)))
-        radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
-        assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
-        y, x = np.indices(single.shape) + 0.5
-        assert (single * x).sum() / single.sum() == pytest.approx(256.3, abs=1e-3)
-        assert (single * y).sum() / single.sum() == pytest.approx(255.8, abs=1e-3)
-        assert single.max() == 1
-        assert single[255, 256 + 12] == 0
+def test_area_of_one_micro_image():
+    single = views.white_image(PAPER, views.LensGrid((32, 32), (256.3, 255.8), (1, 1)))
+    radius = PAPER.micro_image_diameter / PAPER.pixel_size / 2
+    assert single.sum() == pytest.approx(math.pi * radius**2, rel=5e-4)
+    y, x = np.indices(single.shape) + 0.5
+    assert (single * x).sum() / single.sum() == pytest.approx(256.3, abs=1e-3)
+    assert (single * y).sum() / single.sum() == pytest.approx(255.8, abs=1e-3)
+    assert single.max() == 1 and single[255, 256 + 12] == 0
 
 
 OUTLINE = Vignetting([1, 0, 0, -0.3, 0, -0.3], scale=0.5)
@@ -113,12 +111,10 @@ class TestDecode:
         fall_off = np.ones(dim.shape) if source == "camera" else fall_off_of(dim, 0.2)
         white = (views.white_image(dim) * fall_off).astype(np.float32)
         given = {} if source == "camera" else {"white": 3 * white}
-        lf = decode(
-            0.7 * white, **given, **({"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim})
-        )
+        given |= {"grid": views.lens_grid(dim)} if source == "white alone" else {"camera": dim}
+        lf = decode(0.7 * white, **given)
         inner = np.s_[:, :, 1:-1, 1:-1]
-        seen = lf.weight.values > 0
-        assert np.ptp(lf.values[seen]) < 1e-4 * lf.values.max()
+        assert np.ptp(lf.values[lf.weight.values > 0]) < 1e-4 * lf.values.max()
         # Of a recorded white, lenses near the axis count as 1; alone it does not tell that they are dim.
         if source == "camera" or name == "apodised":
             assert lf.values.max() == pytest.approx(0.7 * (1 if source == "camera" else 0.88), rel=0.05)
@@ -136,8 +132,7 @@ class TestDecode:
                 assert views.open_light_field(tmp_path / "a.nc").identical(saved)
 
     def test_colour(self):
-        image = views.white_image(PAPER)[..., None] * [0.2, 0.5, 0.9]
-        lf = decode(image, camera=PAPER)
+        lf = decode(views.white_image(PAPER)[..., None] * [0.2, 0.5, 0.9], camera=PAPER)
         assert lf.dims == ("v", "u", "t", "s", "c")
         assert lf.c.values.tolist() == ["R", "G", "B"]
         assert lf.sel(c="G").values[11, 11] == pytest.approx(0.5)
@@ -196,8 +191,7 @@ class TestViews:
     @pytest.fixture
     def lf(self):
         values = np.random.default_rng(0).random((5, 5, 4, 6), dtype=np.float32)
-        lf = decode(views.white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6]
-        return lf.copy(data=values)
+        return decode(views.white_image(PAPER), camera=PAPER)[9:14, 9:14, :4, :6].copy(data=values)
 
     def test_nearest_view(self, lf):
         assert np.array_equal(views.view(lf).values, lf.values[2, 2])
@@ -228,8 +222,7 @@ class TestViews:
 
 @all_cameras
 def test_the_grid_holds_the_lenses(camera):
-    grid = views.lens_grid(camera)
-    centres = grid.centres().reshape(-1, 2)
+    centres = views.lens_grid(camera).centres().reshape(-1, 2)
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     to_lenses = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
     x, y = (p * to_lenses).T
@@ -240,16 +233,13 @@ def test_the_grid_holds_the_lenses(camera):
     index = lattice.lenses_within((columns[0], rows[0]), (columns[-1], rows[-1]))
     if lattice.axis_aligned:
         assert len(centres) == (len(index) if camera.is_cropped else math.prod(camera.lens_count))
-    expected = np.stack(lattice.centre(*index.T.astype(float)), axis=-1)
-    distance = cKDTree(np.stack([x, y], axis=-1)).query(expected)[0]
+    distance = cKDTree(np.stack([x, y], axis=-1)).query(np.stack(lattice.centre(*index.T.astype(float)), axis=-1))[0]
     assert distance.max() < 1e-9
 
 
 def test_rows_are_found_whatever_the_angle():
-    for degrees in np.linspace(-360, 360, 97):
-        camera = PlenopticCamera(
-            detector_width=0.3, resolution=(150, 150), mla_lattice="hexagonal", mla_rotation=float(degrees)
-        )
+    for turn in np.linspace(-360, 360, 97).tolist():
+        camera = PlenopticCamera(mla_lattice="hexagonal", mla_rotation=turn, detector_width=0.3, resolution=(150, 150))
         grid = views.lens_grid(camera)
         assert abs(grid.rotation) <= math.radians(15) + 1e-9
         assert grid.shifted_rows is not None
@@ -305,11 +295,9 @@ def test_centres_of_an_unknown_lattice(grid):
 def test_lattices_of_micro_images_that_overlap(diameter, lattice, rotation, pitch):
     """Not the lattice of the gaps, turned by 45 degrees and finer by the root of two."""
     wide = PlenopticCamera(mla_lattice=lattice, mla_rotation=rotation, mla_offset=(0.017, -0.023))
-    scale = diameter / wide.micro_image_diameter * wide.micro_image_pitch
+    radius = wide.aperture_radius * diameter / wide.micro_image_diameter * wide.micro_image_pitch
     step = wide.micro_image_pitch / pitch
-    camera = wide.replace(
-        aperture_radius=wide.aperture_radius * scale, resolution=(340, 300), detector_width=340 * step
-    )
+    camera = wide.replace(aperture_radius=radius, resolution=(340, 300), detector_width=340 * step)
     image = np.random.default_rng(0).poisson(4000 * views.white_image(camera).clip(0)) + 300.0
     found = views.estimate_lens_grid(image)
     assert found.nearest_distance == pytest.approx(pitch, rel=1e-3)

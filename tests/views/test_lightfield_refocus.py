@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from cameras import letters
+from cameras import letters, small_camera
 from light_field_cases import blobs, fall_off_of, of_square_lenses, straight_rays
 from scipy.io import savemat
 from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, uniform_filter
@@ -45,8 +45,7 @@ def flat_scene(lf, distance, function):
     t, s = (np.arange(lf.sizes[name], dtype=float) for name in ("t", "s"))
     v, u = (view_steps(lf, name) for name in ("v", "u"))
     x = s - slope * u[:, None]
-    y = t - slope * v[:, None]
-    values = function(x[None, :, None, :], y[:, None, :, None]).astype(np.float32)
+    values = function(x[None, :, None, :], (t - slope * v[:, None])[:, None, :, None]).astype(np.float32)
     return lf.copy(data=np.where(lf.weight.values > 0, values, 0))
 
 
@@ -74,10 +73,8 @@ def card(camera, slope, blob, contrast):
 class TestShiftAndAdd:
     def test_is_the_mean_of_moved_views(self, blank):
         lf = blank.copy(data=np.random.default_rng(0).random(blank.shape, dtype=np.float32))
-        slope = 0.37
-        ours = views.shift_and_add(lf, slope).values
         # Read out at one bin, with the textbook's bilinear formula.
-        row, column = 17, 22
+        slope, row, column = 0.37, 17, 22
         total = weight = 0.0
         for j, dv in enumerate(view_steps(lf, "v")):
             for i, du in enumerate(view_steps(lf, "u")):
@@ -88,21 +85,19 @@ class TestShiftAndAdd:
                         share = wy * wx * blank.weight.values[j, i, yy, xx]
                         total += share * lf.values[j, i, yy, xx]
                         weight += share
-        assert ours[row, column] == pytest.approx(total / weight, rel=1e-5)
+        assert views.shift_and_add(lf, slope).values[row, column] == pytest.approx(total / weight, rel=1e-5)
 
     def test_equals_the_ray_reconstruction(self):
         capture = mp.render_capture(mp.load_scene("letters", parameters=letters(32)), spp=2)
         ours = views.refocus(mp.decode(capture), 280.0).values
         theirs = mp.reconstruct(capture, 280.0, footprint="lens").image
-        error = np.mean((ours - theirs) ** 2)
-        assert 10 * math.log10(theirs.max() ** 2 / error) > 45
+        assert 10 * math.log10(theirs.max() ** 2 / np.mean((ours - theirs) ** 2)) > 45
 
     def test_a_falling_white_moves_no_blur(self):
         camera = of_square_lenses(10, 20)
         spot = lambda x, y, sx, sy: np.exp(-((x + 200 * sx - 2) ** 2 + (y + 200 * sy - 2) ** 2))  # noqa: E731
         picture = straight_rays(camera, spot)
-        white = views.white_image(camera)
-        centres = []
+        white, centres = views.white_image(camera), []
         for corner in (1.0, 0.2):
             dim = fall_off_of(camera, corner)
             image = views.refocus(mp.decode(picture * dim, white=white * dim, camera=camera), 240.0)
@@ -140,27 +135,23 @@ class TestDepth:
     def test_two_planes(self, blank):
         # The left half at 212 mm in front of the right half at 265 mm, by their place in the middle view.
         near, far = flat_scene(blank, 212.0, texture(1)), flat_scene(blank, 265.0, texture(2))
-        slope = views.disparity(blank, 212.0)
-        edge = 20 + slope * view_steps(blank, "u")
+        edge = 20 + views.disparity(blank, 212.0) * view_steps(blank, "u")
         in_front = np.arange(40)[None, :] < edge[:, None]
         lf = blank.copy(data=np.where(in_front[None, :, None, :], near.values, far.values))
         found = views.depth_map(lf, 195, 310, planes=32)
         left, right = found.isel(s=slice(2, 16)), found.isel(s=slice(23, 38))
         assert float(abs(left.depth - 212).median()) < 0.5
         assert float(abs(right.depth - 265).median()) < 1
-        assert float(left.confidence.median()) > 0.8
-        assert float(right.confidence.median()) > 0.8
+        assert min(float(part.confidence.median()) for part in (left, right)) > 0.8
         # Next to the edge the background is not mistaken for the object.
         assert float(found.isel(s=slice(22, 24)).depth.median()) > 240
         place = np.arange(40.0), np.arange(40.0)[:, None]
         sharp = np.where(place[0] < 20, texture(1)(*place), texture(2)(*place))
         assert np.median(np.abs(found.image.values - sharp)) < 0.02
         known = np.isfinite(found.depth.values)
-        assert known.mean() > 0.6
-        assert np.all(found.confidence.values[known] >= 0.5)
-        np.testing.assert_allclose(
-            found.disparity.values[known], [views.disparity(lf, g) for g in found.depth.values[known]], atol=1e-9
-        )
+        assert known.mean() > 0.6 and np.all(found.confidence.values[known] >= 0.5)
+        expected = [views.disparity(lf, g) for g in found.depth.values[known]]
+        np.testing.assert_allclose(found.disparity.values[known], expected, atol=1e-9)
 
     # Pixels a lens; lenses that the card moves from view to view; photons; size of its blobs in lenses; contrast.
     @pytest.mark.parametrize(
@@ -169,16 +160,14 @@ class TestDepth:
     def test_noise_does_not_move_the_depth(self, case):
         pixels, slope, photons, blob, contrast = case
         camera = noisy_camera(pixels)
-        lf = mp.decode(
-            mp.expose(mp.Capture(card(camera, slope, blob, contrast), camera), mp.Detector(), photons=photons, seed=1)
-        )
+        seen = mp.Capture(card(camera, slope, blob, contrast), camera)
+        lf = mp.decode(mp.expose(seen, mp.Detector(), photons=photons, seed=1))
         # Few views see the bins at the border.
         inner = views.depth_map(lf).isel(s=slice(2, -2), t=slice(2, -2))
         error = views.distance_of(lf, inner.disparity.values) / views.distance_of(lf, slope) - 1
         assert abs(np.median(error)) < 0.003
         right = float((abs(error) < 0.01).mean())
-        assert right > 0.95
-        assert float(inner.confidence.mean()) == pytest.approx(right, abs=0.1)
+        assert right > 0.95 and float(inner.confidence.mean()) == pytest.approx(right, abs=0.1)
 
     @pytest.mark.slow
     def test_confidence_falls_with_the_rate_of_right_depths(self):
@@ -189,9 +178,8 @@ class TestDepth:
         for seed in range(4):
             lf = mp.decode(mp.expose(seen, mp.Detector(), photons=25, seed=seed))
             inner = views.depth_map(lf).isel(s=slice(6, -6), t=slice(6, -6))
-            rates.append(
-                np.mean(np.abs(views.distance_of(lf, inner.disparity.values) / views.distance_of(lf, 0.5) - 1) < 0.01)
-            )
+            error = views.distance_of(lf, inner.disparity.values) / views.distance_of(lf, 0.5) - 1
+            rates.append(np.mean(np.abs(error) < 0.01))
             stated.append(float(inner.confidence.mean()))
         # Single captures scatter by 0.1, and confidences are on average 0.1 too low.
         assert 0.2 < np.mean(rates) < 0.8
@@ -199,16 +187,13 @@ class TestDepth:
 
     def test_focused_cameras_compare_micro_images(self):
         # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
-        camera = mp.PlenopticCamera.preset("paper").replace(
-            detector_width=1.536, resolution=(768, 768), mla_focal_length=0.66, aperture_radius=4.9
-        )
+        camera = small_camera(24, mla_focal_length=0.66, aperture_radius=4.9)
         lf = mp.decode(views.white_image(camera), camera=camera)
         function = texture(waves=40)
         # Where its lenses are in focus, samples near the rims of micro-images show their exact places.
         sharp = best_distances(camera)[0]
         lf = flat_scene(lf, sharp, lambda x, y: function(6 * x, 6 * y))
-        found = views.depth_map(lf, 220, 236, planes=40)
-        inner = found.isel(s=slice(3, -3), t=slice(3, -3))
+        inner = views.depth_map(lf, 220, 236, planes=40).isel(s=slice(3, -3), t=slice(3, -3))
         assert float(np.isfinite(inner.depth).mean()) > 0.9
         assert float(abs(inner.depth - sharp).max()) < 0.5
         # The views themselves agree about nothing.

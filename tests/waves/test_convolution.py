@@ -72,8 +72,7 @@ def lit(seed: int) -> tuple[np.ndarray, np.ndarray]:
 def test_images_of_pixels_are_the_sums_of_those_of_their_cells():
     kernels, of_cells, oblique, steps = made()
     values, cosines = lit(2)
-    images = kernels.combined(values, oblique.terms(cosines))
-    found = np.einsum("nx,nij->xij", images, kernels.kernels)
+    found = np.einsum("nx,nij->xij", kernels.combined(values, oblique.terms(cosines)), kernels.kernels)
     reach = (found.shape[1] - 1) // 2
     for pixel in range(PIXELS):
         exact = np.zeros(2 * [PARTS * (2 * reach + 1)])

@@ -6,7 +6,6 @@ import pytest
 from cameras import HALF, error, small_camera, warped
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic.array import Displacement
 from mitsuba_plenoptic.views import lens_grid, white_image
 from tools.bench.cases.arrays import GREEN, centroids, propagated
 
@@ -60,19 +59,14 @@ def test_a_figure_error_deflects_rays(lens_model):
 
 
 def test_micro_images_are_displaced_by_the_polynomial():
-    """To 0.02 pixels, of displacements by up to 3 pixels; the centres are c (b + z) / b.
-
-    White images are those of rays by a relation.
-    """
+    """To 0.02 pixels, of up to 3; the centres are c (b + z) / b. White images are those of rays by a relation."""
     camera, moved = warped(small_camera(8, crop_offset=(32, 0), crop_size=(224, 256)), 2.7, 18)
-    index = np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)])
-    regular = (index + 0.5) * camera.mla_pitch
+    regular = (np.array([(i, j) for i in range(-3, 3) for j in range(-3, 3)]) + 0.5) * camera.mla_pitch
     aside = moved(*regular.T).T
     expected = (regular + aside) * (1 + 0.512 / 120) / camera.pixel_size + 128 - camera.crop_offset
     assert np.hypot(*aside.T).max() > 0.6 * camera.pixel_size
     found = lens_grid(camera).centres().reshape(-1, 2)
-    near = np.hypot(*(found[:, None] - expected).transpose(2, 0, 1)).min(0)
-    assert near.max() < 1e-9
+    assert np.hypot(*(found[:, None] - expected).transpose(2, 0, 1)).min(0).max() < 1e-9
     assert np.abs(centroids(white_image(camera), expected) - expected).max() < 0.02
 
 
@@ -82,8 +76,7 @@ def test_polynomials_turn_with_their_frame():
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     # A place of the turned frame, brought to the camera's, displaced and brought back.
-    there = np.array(shifts.smooth(*(turn @ [x, y])))
-    assert np.allclose(shifts.turned(25).smooth(x, y), turn.T @ there, atol=1e-12)
+    assert np.allclose(shifts.turned(25).smooth(x, y), turn.T @ np.array(shifts.smooth(*(turn @ [x, y]))), atol=1e-12)
     assert np.allclose(shifts.regular(*np.add([x, y], shifts.smooth(x, y))), [x, y], atol=1e-6)
 
 
@@ -103,4 +96,3 @@ def test_lenses_in_a_rectangle_are_those_whose_displaced_centres_lie_in_it():
     inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
     assert found == set(zip(i[inside].tolist(), j[inside].tolist(), strict=True))
     assert found != {tuple(index) for index in camera.lattice.regular.lenses_within(low, high)}
-    assert isinstance(camera.lattice.displacement, Displacement)

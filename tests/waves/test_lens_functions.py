@@ -63,28 +63,18 @@ def plan(request):
 
 
 @pytest.fixture(scope="module")
-def points(plan, mono):
-    return LensPoints(plan)
-
-
-@pytest.fixture(scope="module")
-def mono():
+def points(plan):
     mi.set_variant("llvm_ad_mono")
-
-
-def drawn(points, plan, radius, angle):
-    """Return points by random numbers, their weights, the pupil's point and the chances."""
-    rng = np.random.default_rng(1)
-    random, chance = ([mi.Float(rng.random(COUNT).astype(np.float32)) for _ in range(n)] for n in (2, 4))
-    pupil = [
-        dr.full(mi.Float, plan.camera.pupil_radius * radius * part, COUNT) for part in (np.cos(angle), np.sin(angle))
-    ]
-    return *points.draw(pupil, chance, random), pupil, chance
+    return LensPoints(plan)
 
 
 @pytest.mark.parametrize(("radius", "angle"), [(0.6, 2.1), (0.99, 0.785)])
 def test_drawn_points_carry_all_light_with_weights_near_the_least_variance(points, plan, radius, angle):
-    point, weight, pupil, chance = drawn(points, plan, radius, angle)
+    rng = np.random.default_rng(1)
+    random, chance = ([mi.Float(rng.random(COUNT).astype(np.float32)) for _ in range(n)] for n in (2, 4))
+    place = plan.camera.pupil_radius * radius * np.array([np.cos(angle), np.sin(angle)])
+    pupil = [dr.full(mi.Float, part, COUNT) for part in place]
+    point, weight = points.draw(pupil, chance, random)
     values = [np.asarray(value * weight) for value in coefficients_of([plan])[0](point, pupil, chance, mi.Bool(True))]
     # The known integrals, in the corners of windows, too.
     assert values[0].mean() == pytest.approx(1, abs=0.01)
@@ -117,7 +107,6 @@ def test_every_lens_is_a_parabola_in_its_aperture(lattice):
 
 
 def test_orders_of_the_lens_array():
-    """The Fresnel integrals against a plain sum over the cell."""
     x = (np.arange(200_000) + 0.5) / 200_000 * SMALL.mla_pitch
     t = np.exp(-1j * np.pi * (x - SMALL.mla_pitch / 2) ** 2 / (WAVELENGTH * 1e-6 * SMALL.mla_focal_length))
     q = np.arange(-20, 21)
@@ -158,5 +147,4 @@ def test_transmission_is_the_sum_of_its_orders(name, parameter):
         np.exp(2j * np.pi * np.outer(place, np.arange(size) - size // 2) / side)
         for place, size, side in zip((x, y), amplitudes.shape[::-1], sides, strict=True)
     )
-    expected = np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)
-    assert error(found, expected) < 5e-5
+    assert error(found, np.einsum("kj,ji,ki->k", along_y, amplitudes, along_x)) < 5e-5

@@ -43,8 +43,7 @@ def test_rays_against_snell_at_a_thin_element(changes):
     within = np.column_stack([m - p, np.full(len(p), camera.detector_distance)])
     within *= n / np.linalg.norm(within, axis=1)[:, None]
     before = within[:, :2] - n * (m - centre) / camera.mla_focal_length
-    up = np.sqrt(1 - (before**2).sum(1))
-    pupil = m + b * before / up[:, None]
+    pupil = m + b * before / np.sqrt(1 - (before**2).sum(1))[:, None]
     after = before - pupil / f1
     after = np.column_stack([after, np.sqrt(1 - (after**2).sum(1))])
     is_open = (pupil**2).sum(1) <= camera.aperture_radius**2
@@ -63,8 +62,7 @@ def test_an_ideal_microlens_in_a_medium_is_stigmatic():
     (a,) = mp.design.mla_object_distances(camera)
     assert 1 / a + 1.5 / 0.9 == pytest.approx(1.5 / 0.768)
     (distance,) = mp.design.best_distances(camera)
-    at = (o[:2] + d[:2] / d[2] * distance)[:, np.array(weight)[0] > 0]
-    assert np.ptp(at, axis=1).max() < 1e-3
+    assert np.ptp((o[:2] + d[:2] / d[2] * distance)[:, np.array(weight)[0] > 0], axis=1).max() < 1e-3
 
 
 def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
@@ -84,8 +82,7 @@ def test_near_the_axis_a_medium_is_a_shorter_length_of_air():
 
 def test_waves_against_an_angular_spectrum_in_the_medium():
     camera = small_camera(4, **HALF, **GLASS)
-    position = np.array([0.05, -0.03, 112.5])
-    fields = point_fields(camera, position, wavelength=WAVELENGTH)
+    fields = point_fields(camera, np.array([0.05, -0.03, 112.5]), wavelength=WAVELENGTH)
     lam, pitch, count = WAVELENGTH * 1e-6, fields.mla.pitch, fields.mla.samples.shape
     x, y = (fields.mla.origin[axis] + np.arange(count[1 - axis]) * pitch for axis in (0, 1))
     i, j = camera.lattice.cell(*np.meshgrid(x, y))

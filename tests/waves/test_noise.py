@@ -22,8 +22,7 @@ def test_what_does_not_vary_has_no_noise_and_one_sample_tells_none(camera_dict):
 def test_noise_survives_the_disk_and_not_an_exposure(tmp_path, camera_dict, channels):
     camera = mi.load_dict(camera_dict(resolution=64)).camera
     image, noise = np.random.default_rng(0).random((2, 64, 64, *channels), dtype=np.float32)
-    capture = mp.Capture(image, camera, noise=noise)
-    mp.write_capture(tmp_path / "raw.exr", capture)
+    mp.write_capture(tmp_path / "raw.exr", mp.Capture(image, camera, noise=noise))
     read = mp.read_capture(tmp_path / "raw.exr")
     np.testing.assert_array_equal(read.image, image)
     np.testing.assert_array_equal(read.noise, noise)

@@ -19,10 +19,7 @@ WAVELENGTH, STEP, COUNT = 633e-6, 0.0005, 1024
 def exact_spot(
     camera: PlenopticCamera, lens: tuple[float, float], place: np.ndarray, centre: list[float]
 ) -> np.ndarray:
-    """Propagate light from the middle of the pupil through a lens and its neighbours, without paraxial approximation.
-
-    Returns the power per area of the lens, for unit irradiance, at positions `place` from a centre along both axes.
-    """
+    """Return a lens's power per area at `place` from a centre, for unit irradiance, without paraxial approximation."""
     along = (np.arange(COUNT) - COUNT // 2 + 0.5) * STEP
     pitch, f2, z, b = camera.mla_pitch, camera.mla_focal_length, camera.detector_distance, camera.mla_distance
     m, n = np.meshgrid(along, along)
@@ -46,9 +43,8 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
     cosines = [c / distance for c in lens]
     slopes = [c / camera.mla_distance for c in lens]
     kernels = plan.kernels(0.001, plan.reach) / 0.001**2
-    factors = plan.oblique.factors[:, 0] @ np.array(
-        terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
-    )
+    bent = terms(*(s / plan.oblique.largest for s in cosines), plan.oblique.degree)
+    factors = plan.oblique.factors[:, 0] @ np.array(bent)
     place = (np.arange(kernels.shape[1]) - kernels.shape[1] // 2) * 0.001
     enlargement = LensSampler(camera, [plan]).enlargements[0]
     exact = exact_spot(camera, lens, place, [enlargement * camera.detector_distance * t for t in slopes])
@@ -67,7 +63,6 @@ def test_spots_of_oblique_light_are_those_of_an_exact_propagation():
 
 
 def fast_lens(medium: float) -> PlenopticCamera:
-    """Return a camera with microlenses of f/2.4 in a medium."""
     return PlenopticCamera(
         focal_length=10.0, aperture_radius=2.5, mla_distance=12.0, mla_pitch=0.04, mla_focal_length=0.0955 * medium,
         mla_medium=medium, detector_width=0.4, resolution=(100, 100),
@@ -91,8 +86,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium)
     exact = np.abs(np.fft.ifft2(spectrum * np.exp(2j * np.pi * medium * kind.distance * across))) ** 2 / inside.sum()
     # The lens alone, at the same places by a plain sum over its points.
     reach = (np.arange(160) + 0.5) / 160 * 0.04 - 0.02
-    at = np.meshgrid(reach, reach)
-    _, field, share = plan.transmission(tuple(at), kind, cosines)
+    _, field, share = plan.transmission(tuple(np.meshgrid(reach, reach)), kind, cosines)
     own = np.where(share > 0, field, 0)
     behind = np.array(cosines) / math.sqrt(1 - (math.hypot(*cosines) / medium) ** 2)
     landing = kind.distance * LensSampler(camera, [plan]).enlargements[0] * behind
@@ -110,8 +104,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium)
 def test_pixels_know_the_direction_of_their_light():
     camera = PlenopticCamera(mla_rotation=20.0, mla_medium=1.4)
     sampler = LensSampler(camera, [plan_of(camera, 633.0, False, 633.0)])
-    nearest = sampler.choice.lenses.index((0, 0))
-    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(nearest))
+    pixels = Pixels(Box(40, 60, 8, 8), mi.UInt32(np.arange(64)), mi.UInt32(sampler.choice.lenses.index((0, 0))))
     u, v = sampler.cosines(pixels)
     lenses = sampler.lenses(pixels)
     pupil = sampler.seen(lenses.position, lenses)

@@ -50,11 +50,7 @@ def test_the_mean_over_the_pupil_is_airys_pattern(radius=0.25):
         turn = np.where(np.arange(len(ring)) % (len(ring) - 1), 1, 0.5)
         ring = np.tensordot(turn, ring, 1) / turn.sum()
         axis = (np.arange(ring.shape[1]) + 0.5) / ring.shape[1] * node.sides[0] - node.sides[0] / 2
-        middle = (
-            ring[ring.shape[0] // 2 - 1 : ring.shape[0] // 2 + 1].mean(0)
-            if len(ring) % 2 == 0
-            else ring[len(ring) // 2]
-        )
+        middle = ring[(len(ring) - 1) // 2 : len(ring) // 2 + 1].mean(0)
         mean += (1 - t * t) * t * np.interp(PLACES, axis, middle)
     mean /= sum((1 - t * t) * t for t in 1 - np.arange(plan.radial + 1) / plan.radial)
     step, scale = 0.001, math.pi * 2 * radius / (633e-6 * 120)
@@ -142,12 +138,10 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
 )
 def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
     """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
-    focal_length = 5.2 * pitch
     camera = PlenopticCamera(
-        focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=focal_length,
+        focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=5.2 * pitch,
         detector_width=8 * pitch, resolution=(8 * pixels,) * 2,
     )  # fmt: skip
     plan = PhaseSpace(camera, 633.0)
     assert plan.lands_by_point == (pitch == 0.5)
-    step = camera.pixel_size / plan.parts(False)
-    assert plan.kernels(step, 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)
+    assert plan.kernels(camera.pixel_size / plan.parts(False), 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)

@@ -72,8 +72,7 @@ def test_point_spreads_are_sums_over_the_pupil(method, a2, a4):
     )  # fmt: skip
     found = CaptureOperator(camera, [(0, 0, 240)], wavelength=633, method=method, accuracy=0).forward([1.0])
     r = (np.arange(2000) + 0.5) / 2000
-    within = (np.arange(5) - 2) / 5 * camera.pixel_size
-    along = (camera.pixel_coordinates(0)[:, None] + within).ravel()
+    along = (camera.pixel_coordinates(0)[:, None] + (np.arange(5) - 2) / 5 * camera.pixel_size).ravel()
     apart = np.hypot(along, along[:, None])
     radii = np.linspace(0, apart.max(), 500)
     waves = 2 * np.pi * radii[:, None] * r * camera.aperture_radius / (633e-6 * camera.mla_distance)
@@ -93,10 +92,8 @@ COMA = (0, 0, 0, 0, 0, 0.3, 0, 0.5)
 
 
 def capture_of_lamp(**changes):
-    scene = scene_of(
-        mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor(),
-        lamp=disk([0.03, 0.02, 240.0], 0.1),
-    )
+    sensor = mp.PlenopticCamera(resolution=(32, 32), detector_width=0.128, **changes).to_sensor()
+    scene = scene_of(sensor, lamp=disk([0.03, 0.02, 240.0], 0.1))
     return mp.render_capture(scene, model="wave", wavelength=550.0, spp=8)
 
 

@@ -19,7 +19,6 @@ CAMERA = PlenopticCamera(resolution=(32, 32), detector_width=0.256)
 BLUR = 0.012
 """A blur of 1.5 pixels."""
 
-
 TABLE = [[0.02, 0.1, 0.05], [0.2, 0.0, 0.15]]
 """Stray light from the top left of the picture on."""
 
@@ -34,7 +33,6 @@ def with_stray_light(image, camera):
 
 
 def lit(camera, integrator, **film):
-    """Return a scene of a small lamp in focus."""
     sensor = camera.to_sensor()
     sensor["film"] |= film
     return scene_of(sensor, integrator, lamp=facing(238.0, 0.1, (0.05, 0.0), **radiating()))
@@ -48,8 +46,7 @@ def test_blurs_below_a_pixel_are_gaussian_and_take_no_light_away():
     # Nowhere does it take light away, however wide it is.
     for width in (1e-6, 0.05, 0.4, 1.0, 1.5, 30.0):
         assert DetectorOperator(blur=width).forward(impulse).min() >= 0
-    along = np.arange(41)
-    smooth = 1 + np.cos(2 * np.pi * (along - 20) / 16)
+    smooth = 1 + np.cos(2 * np.pi * (np.arange(41) - 20) / 16)
     assert (narrow * smooth).sum() == pytest.approx(1 + np.exp(-0.5 * (0.4 * 2 * np.pi / 16) ** 2), abs=1e-3)
 
 
@@ -68,8 +65,7 @@ def test_stray_light_is_a_table_of_the_whole_detector(tmp_path):
     stray = camera.replace(stray_light=tmp_path / "stray.npy", **mixing)
     assert stray == camera.replace(stray_light=np.array(TABLE), **mixing) and stray.stray_light == StrayLight(TABLE)
     plain = np.random.default_rng(2).random(camera.shape)
-    blurred = gaussian_filter(plain, BLUR / camera.pixel_size, mode="reflect", truncate=8)
-    beside = np.pad(blurred, 1, mode="symmetric")
+    beside = np.pad(gaussian_filter(plain, BLUR / camera.pixel_size, mode="reflect", truncate=8), 1, mode="symmetric")
     mixed = 0.8 * beside[1:-1, 1:-1]
     mixed += 0.05 * (beside[:-2, 1:-1] + beside[2:, 1:-1] + beside[1:-1, :-2] + beside[1:-1, 2:])
     assert error(DetectorOperator.of(stray).forward(plain), with_stray_light(mixed, camera)) < 1e-6
@@ -79,9 +75,8 @@ def test_plain_and_frozen_renders_are_recorded_and_depth_as_it_is():
     camera = CAMERA.replace(detector_blur=BLUR, pixel_crosstalk=0.05, stray_light=TABLE)
     operator = DetectorOperator.of(camera)
     depth = {"type": "aov", "aovs": "d:depth", "image": {"type": "path"}}
-    plain, found = (
-        np.array(mi.render(lit(each, depth, pixel_format="luminance_alpha"), spp=16)) for each in (CAMERA, camera)
-    )
+    scenes = (lit(each, depth, pixel_format="luminance_alpha") for each in (CAMERA, camera))
+    plain, found = (np.array(mi.render(scene, spp=16)) for scene in scenes)
     assert found.shape[2] == 3
     assert found[..., :1] == pytest.approx(operator.forward(plain[..., :1]), abs=1e-6)
     assert np.array_equal(found[..., 1:], plain[..., 1:])

@@ -27,22 +27,8 @@ def load(name, **parameters):
     return mi.load_file(str(scene_path(name)), **{"resolution": "64", **parameters})
 
 
-def thin_camera(resolution, **parameters):
-    """Build one of Mitsuba's own cameras with the view of the plenoptic one."""
-    view = {"fov": math.degrees(2 * math.atan(8.192 / 2 / 120)), "film": film(resolution, resolution)}
-    return mi.load_dict({"type": "perspective", **view, **parameters})
-
-
-def render(scene, resolution=128, spp=64, **parameters):
-    return np.array(mi.render(scene, sensor=thin_camera(resolution, **parameters), spp=spp, seed=1))[..., 0]
-
-
-def shapes(scene):
-    return {shape.id(): shape for shape in scene.shapes()}
-
-
-def box(shape):
-    return np.array(shape.bbox().min), np.array(shape.bbox().max)
+def boxes(scene):
+    return {shape.id(): np.array([shape.bbox().min, shape.bbox().max]) for shape in scene.shapes()}
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -81,19 +67,21 @@ def test_resolution_samples_the_same_detector(name):
 
 
 def test_letters_stand_where_they_should_and_scale_in_their_planes():
-    found, small = shapes(load("letters")), shapes(load("letters", letter_scale="0.25"))
+    found, small = boxes(load("letters")), boxes(load("letters", letter_scale="0.25"))
     assert set(found) == set(DISTANCES)
     for (name, distance), place in zip(DISTANCES.items(), (1, 0, -1), strict=True):
-        low, high = box(found[name])
+        low, high = found[name]
         assert low[2] == high[2] == distance
         np.testing.assert_allclose([low[1], high[1]], [-2, 2], atol=1e-6)
         np.testing.assert_allclose((low[0] + high[0]) / 2, place * 3.2 * distance / 240, atol=1e-5)
-        np.testing.assert_allclose(box(small[name]), [low * [0.25, 0.25, 1], high * [0.25, 0.25, 1]], atol=1e-6)
+        np.testing.assert_allclose(small[name], [low * [0.25, 0.25, 1], high * [0.25, 0.25, 1]], atol=1e-6)
 
 
 def test_letters_read_from_left_to_right():
     resolution = 256
-    image = render(load("letters"), resolution)
+    view = {"fov": math.degrees(2 * math.atan(8.192 / 2 / 120)), "film": film(resolution, resolution)}
+    pinhole = mi.load_dict({"type": "perspective", **view})
+    image = np.array(mi.render(load("letters"), sensor=pinhole, spp=64, seed=1))[..., 0]
     assert image.max() == pytest.approx(1, abs=1e-5)
     bright = np.flatnonzero(image.sum(axis=0))
     runs = np.split(bright, np.flatnonzero(np.diff(bright) > 1) + 1)
@@ -118,16 +106,12 @@ def test_letters_read_from_left_to_right():
 def test_meshes_and_textures_come_out_the_same(tmp_path):
     made = {path.relative_to(tmp_path) for path in write_all(tmp_path)}
     scenes = ROOT / "scenes"
-    committed = {
-        path.relative_to(scenes) for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern)
-    }
-    assert made == committed
+    committed = (path for pattern in ("*.png", "*.hdr", "meshes/*.ply") for path in scenes.glob(pattern))
+    assert made == {path.relative_to(scenes) for path in committed}
     for path in made:
         assert (tmp_path / path).read_bytes() == (scenes / path).read_bytes(), path
-    assert (
-        sum(path.stat().st_size for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))
-        < 2**20
-    )
+    kept = (path for path in scenes.rglob("*") if path.suffix in (".png", ".hdr", ".ply", ".xml"))
+    assert sum(path.stat().st_size for path in kept) < 2**20
 
 
 def test_dictionaries_are_scenes_and_any_sensor_renders(camera_dict):
@@ -161,13 +145,10 @@ def test_passes_of_large_ray_captures_have_a_power_of_two_of_samples(monkeypatch
     scene, done = load_scene("letters", parameters={"resolution": "32", "detector_width": "0.064"}), []
     monkeypatch.setattr("mitsuba_plenoptic.scene.capture._RAYS_PER_PASS", 28 * 32**2)
     monkeypatch.setattr("mitsuba_plenoptic.runtime.batches._LOOK", 1e9)
-    for spp in (28, 40):
-        render_capture(
-            scene, model="ray", spp=spp, progress=lambda count, total, spp=spp: done.append(count * spp // total)
-        )
-    assert done == [16, 24, 28, 16, 32, 40]
-    render_capture(scene, model="ray", spp=7, progress=lambda count, total: done.append(count * 7 // total))
-    assert done[6:] == [4, 6, 7]
+    for spp in (28, 40, 7):
+        told = lambda count, total, spp=spp: done.append(count * spp // total)  # noqa: E731
+        render_capture(scene, model="ray", spp=spp, progress=told)
+    assert done == [16, 24, 28, 16, 32, 40, 4, 6, 7]
 
 
 @pytest.mark.parametrize(
@@ -191,7 +172,7 @@ def matte(reflectance):
     return {"type": "diffuse", "reflectance": reflectance}
 
 
-def described(volume, length, power=1.0, **lamp):
+def described(volume, length, power=1.0):
     """Describe a scene by hand whose lengths are multiplied by `length`, its lamps at points by `power`."""
     transform = mi.ScalarTransform4f
 
@@ -203,7 +184,8 @@ def described(volume, length, power=1.0, **lamp):
         return cube | {"interior": {"type": name, "sigma_t": density, "scale": 1 / length, "albedo": 0.7}}
 
     cloud = {"type": "gridvolume", "filename": str(volume), "to_world": at(-1, -1, 2.5) @ transform().scale(2 * length)}
-    large = transform().scale(3 * length)
+    large, tilted = transform().scale(3 * length), at(0.5, -1, 1) @ transform().rotate([1, 0, 0], 30).scale([2, 1, 1])
+    aimed = transform().look_at([-length, 0, -length], [0, 0, 3 * length], [0, 1, 0])
     stand = {"type": "cylinder", "p1": [0, 0, 0.5 * length], "radius": 0.1 * length, "to_world": at(0, 0, 0)}
     heights = {"type": "bitmap", "filename": str(volume.with_suffix(".exr")), "raw": True}
     checks = matte({"type": "checkerboard", "to_uv": transform().scale(5)})
@@ -225,17 +207,9 @@ def described(volume, length, power=1.0, **lamp):
         "mist": fog(at(0.9, 0, 1.5), "homogeneous", 1.5),
         "cloud": fog(at(-0.9, -0.8, 1.5), "heterogeneous", cloud | {"to_world": at(-2, -2, 0) @ large}),
         "group": {"type": "shapegroup", "stand": stand},
-        "first": {
-            "type": "instance",
-            "to_world": at(0.5, -1, 1) @ transform().rotate([1, 0, 0], 30).scale([2, 1, 1]),
-            "group": {"type": "ref", "id": "group"},
-        },
-        "lamp": {"type": "point", "position": [length, 2 * length, 0], "intensity": lamp.get("point", 8 * power)},
-        "spot": {
-            "type": "spot",
-            "to_world": transform().look_at([-length, 0, -length], [0, 0, 3 * length], [0, 1, 0]),
-            "intensity": 20 * power,
-        },
+        "first": {"type": "instance", "to_world": tilted, "group": {"type": "ref", "id": "group"}},
+        "lamp": {"type": "point", "position": [length, 2 * length, 0], "intensity": 8 * power},
+        "spot": {"type": "spot", "to_world": aimed, "intensity": 20 * power},
         "glow": facing(2 * length, 0.4 * length, (1.5 * length, 1.5 * length), **radiating(3.0)),
         "sky": {"type": "constant", "radiance": 0.1},
     }
@@ -253,7 +227,6 @@ def volume(tmp_path):
 
 
 def test_scaled_scenes_look_like_those_scaled_by_hand(volume, tmp_path):
-    """As dictionaries and as files."""
     config = mi.parser.ParserConfig("llvm_ad_mono")
     path = tmp_path / "scene.xml"
     mi.parser.write_file(mi.parser.parse_dict(config, described(volume, 1.0)), str(path))

@@ -33,15 +33,7 @@ MODELS = {
     "ideal": IDEAL,
     "parabolic in a medium": PlenopticCamera(mla_medium=1.5, mla_focal_length=0.768, lens_model="parabolic", **SIZE),
 }
-STEPS = {
-    "focal_length": 0.01,
-    "mla_distance": 0.01,
-    "mla_focal_length": 5e-4,
-    "mla_pitch": 2e-5,
-    "mla_offset": 2e-4,
-    "detector_distance": 1e-4,
-    "detector_width": 1e-4,
-}
+STEPS = {"focal_length": 0.01, "mla_distance": 0.01, "mla_focal_length": 5e-4, "mla_pitch": 2e-5, "mla_offset": 2e-4}
 
 
 def light(point, slope, active, seed):
@@ -96,10 +88,8 @@ class HeldRays(CameraTangents):
         start, _, _ = walk.through_pupil(drawn.ray.P, drawn.ray.m, drawn.lens.height)
         (radiance,) = light(start, direction, valid, 0)
         # Rays of even numbers subtract the mean of those of odd numbers, and vice versa.
-        halves = [
-            np.asarray(value, float).reshape(-1, self._spp // 2, 2)
-            for value in (radiance, dr.select(valid, mi.Float(1), 0))
-        ]
+        ones = dr.select(valid, mi.Float(1), 0)
+        halves = [np.asarray(value, float).reshape(-1, self._spp // 2, 2) for value in (radiance, ones)]
         mean = (halves[0].sum(1) / np.maximum(halves[1].sum(1), 1))[:, None, ::-1]
         mean = mi.Float(np.broadcast_to(mean, halves[0].shape).ravel().astype(np.float32))
         mean = dr.select(valid, mean, 0)
@@ -113,33 +103,22 @@ class HeldRays(CameraTangents):
         same = all(bool(dr.all(a == b)) for a, b in zip(here.point, there.point, strict=True))
         # Where points do not move, the same nodes of the table have the same noise.
         values = self.table(point, drawn.round_pupil, drawn.chance, valid) if same else self.interpolated(point, drawn)
-        values = [np.asarray(value, float) for value in values]
         count = np.asarray(strength * dr.exp(there.measure - here.measure), float)
-        values = [value * count for value in values]
+        values = [np.asarray(value, float) * count for value in values]
         values[0] += np.asarray(mean * dr.exp(there.density - here.density), float)
         # Light meets the lenses of the other camera in another direction.
         oblique = node.plan.oblique
         if oblique.count:
             bent = oblique.terms(np.array([np.asarray(cosine) for cosine in there.cosines]))
             values += list(np.einsum("rnk,kx,nx->rx", oblique.factors, bent, np.array(values)))
-        place = [
-            np.asarray(whole, float) + first + self.margin + np.asarray(after - before, float)
-            for whole, first, after, before in zip(
-                (index // box.columns, index % box.columns),
-                (box.top, box.left),
-                there.cell[::-1],
-                here.cell[::-1],
-                strict=True,
-            )
-        ]
+        whole = np.divmod(np.asarray(index, float), box.columns)
+        ends = zip(whole, (box.top, box.left), here.cell[::-1], there.cell[::-1], strict=True)
+        place = [at + first + self.margin + np.asarray(after - before, float) for at, first, before, after in ends]
         for value, felt in zip(values, self.felt_by, strict=True):
-            self.total += (
-                np.sum(np.asarray(value, float) * scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
-            )
+            self.total += np.vdot(value, scipy.ndimage.map_coordinates(felt, place, order=5)) / self._spp
         return [None for _ in self._nodes]
 
     def interpolated(self, point, drawn):
-        """Return coefficients that are interpolated linearly in the point."""
         _, radial = self.table._nodes.along(*drawn.round_pupil, drawn.chance[0])
         shares = []
         for axis in (1, 0):
@@ -150,8 +129,7 @@ class HeldRays(CameraTangents):
         total = [mi.Float(0)] * self._nodes[0].plan.functions.count
         for i, j in np.ndindex(2, 2):
             share = (shares[0] if i else 1 - shares[0]) * (shares[1] if j else 1 - shares[1])
-            ends = *drawn.chance[:2], mi.Float(i), mi.Float(j)
-            found = self.table(point, drawn.round_pupil, ends, drawn.ray.valid)
+            found = self.table(point, drawn.round_pupil, (*drawn.chance[:2], mi.Float(i), mi.Float(j)), drawn.ray.valid)
             total = [before + share * value for before, value in zip(total, found, strict=True)]
         return total
 
@@ -177,7 +155,7 @@ def test_against_differences_of_held_rays(node, name):
     with dr.suspend_grad():
         camera = node.plan.camera
         found = np.vdot(image(CameraTangents(camera, light, [node], **options)), weights())
-        held, step = HeldRays(camera, light, [node], **options), STEPS[name]
+        held, step = HeldRays(camera, light, [node], **options), STEPS.get(name, 1e-4)
         sides = [held.figure(moved(camera, name, side)) for side in (step, -step)]
     expected = (sides[0] - sides[1]) / (2 * step)
     # Where points move, rays that leave a window of the table make differences noisy, up to 4 % with these steps.
@@ -217,9 +195,8 @@ def test_reverse_is_the_transpose_of_forward(array, changes, monkeypatch):
         work = CameraTangents(camera, two_values, nodes, **options, changes=changes)
         items = int(work.items.sum())
         change = Job().run([SumTask(items, lambda: work, lambda image: image)], (16, 16, 2), items)
-        found = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes)).backward(
-            np.moveaxis(gradient, -1, 0)
-        )
+        adjoint = CameraAdjoint(camera, two_values, nodes, **options, names=tuple(changes))
+        found = adjoint.backward(np.moveaxis(gradient, -1, 0))
     back = sum(part @ changes[name] for name, part in found.items())
     assert abs(np.vdot(change, gradient) - back) < 1e-6 * np.linalg.norm(change) * np.linalg.norm(gradient)
 

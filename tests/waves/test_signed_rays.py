@@ -44,10 +44,7 @@ def test_micro_images_are_darker_as_their_lenses_spread_light(parameters):
     power, half, step = 1 / focal_length - 1 / camera.mla_distance, camera.mla_fill * 0.064 / 2, 1e-4
     x, y = np.meshgrid(*2 * [(np.arange(64) + 0.5) / 64 * 2 * half - half])
     across, up = (
-        [
-            (a - b) / (2 * step)
-            for a, b in zip(turned(x + du, y + dv, power), turned(x - du, y - dv, power), strict=True)
-        ]
+        np.subtract(turned(x + du, y + dv, power), turned(x - du, y - dv, power)) / (2 * step)
         for du, dv in ((step / power, 0), (0, step / power))
     )
     brightness = np.mean(1 / (across[0] * up[1] - across[1] * up[0]))
@@ -56,10 +53,8 @@ def test_micro_images_are_darker_as_their_lenses_spread_light(parameters):
 
 def test_enlarged_micro_images_keep_their_light(monkeypatch):
     focal = {"mla_focal_length": 0.256, "detector_distance": 0.256}
-    scene, brightness = (
-        scene_of(sensor(6, 32, **focal), wall=wall()),
-        LensKinds(PlenopticCamera(**focal)).enlargement(0.256),
-    )
+    scene = scene_of(sensor(6, 32, **focal), wall=wall())
+    brightness = LensKinds(PlenopticCamera(**focal)).enlargement(0.256)
     enlarged = by_waves(scene).image
     monkeypatch.setattr(LensKinds, "enlargement", lambda *_: 1.0)
     before = by_waves(scene).image
@@ -101,8 +96,7 @@ def by_the_even_array():
     ids=["displaced lenses", "angular response", "far out of focus"],
 )  # fmt: skip
 def test_irregular_arrays_change_a_capture_as_they_change_one_by_rays(parameters, by_the_even_array):
-    changes = (after - before for before, after in zip(by_the_even_array, smoothed_captures(**parameters), strict=True))
-    by_rays, by_signed = changes
+    by_rays, by_signed = np.subtract(smoothed_captures(**parameters), by_the_even_array)
     assert np.linalg.norm(by_signed - by_rays) < 0.3 * np.linalg.norm(by_rays)
 
 
@@ -121,30 +115,23 @@ def test_lenses_of_uneven_focal_lengths_are_of_the_nearest_kind():
 def test_what_covers_half_of_the_pupil_darkens_halves_of_micro_images():
     pane = facing(1.0, (10.0, 20.0), (10.0, 0.0), bsdf={"type": "mask", "opacity": 0.7, "nested": BLACK})
     scene = scene_of(sensor(10, 16), pane=pane, wall=wall())
-    rays, waves = (
-        quarters(image, 10).mean((0, 1, 2))
-        for image in (
-            # Diffraction carries a little across the border.
-            spot_filtered(render_capture(scene, model="ray", spp=64).image, scene.sensors()[0].camera),
-            by_waves(scene).image,
-        )
-    )
+    # Diffraction carries a little across the border.
+    by_rays = spot_filtered(render_capture(scene, model="ray", spp=64).image, scene.sensors()[0].camera)
+    rays, waves = (quarters(image, 10).mean((0, 1, 2)) for image in (by_rays, by_waves(scene).image))
     assert waves.min() / waves.max() == pytest.approx(rays.min() / rays.max(), abs=0.03)
     assert np.argmin(waves) == np.argmin(rays)
 
 
 def test_what_differs_from_lens_to_lens_behind_a_pane_is_seen():
-    stripes = {
-        f"stripe_{i}": facing(240.0, (0.256, 20.0), (1.024 * i, 0.0), bsdf=BLACK) for i in range(-8, 9)
-    }  # of four lenses, before a wall far behind
+    # Of four lenses, before a wall far behind.
+    stripes = {f"stripe_{i}": facing(240.0, (0.256, 20.0), (1.024 * i, 0.0), bsdf=BLACK) for i in range(-8, 9)}
     scene = scene_of(sensor(16, 8), **stripes, wall=wall(262.0))
     rays, waves = (
         image[:, 16:-16].reshape(128, -1, 8).mean((0, 2))
         for image in (render_capture(scene, model="ray", spp=64).image, by_waves(scene, spp=32).image)
     )
     contrast = [np.ptp(lenses) / lenses.mean() for lenses in (rays, waves)]
-    assert contrast[0] > 1.5
-    assert contrast[1] == pytest.approx(contrast[0], rel=0.03)
+    assert contrast[0] > 1.5 and contrast[1] == pytest.approx(contrast[0], rel=0.03)
 
 
 def test_estimates_abandon_the_capture_and_state_the_memory_that_is_refused(monkeypatch):
@@ -174,8 +161,7 @@ def test_few_samples_have_the_light_of_many():
 
 
 def test_compensation_keeps_the_sum_and_moves_light_little():
-    random = np.random.default_rng(0)
-    image = random.standard_normal((37, 50)) + 0.2
+    image = np.random.default_rng(0).standard_normal((37, 50)) + 0.2
     projection = NonNegative(image).image
     assert projection.min() >= 0
     assert projection.sum() == pytest.approx(image.sum(), rel=1e-12)

@@ -10,6 +10,7 @@ from mitsuba_plenoptic.optics import colour
 from mitsuba_plenoptic.waves.signed_capture import SignedCapture
 from mitsuba_plenoptic.waves.spectral_nodes import WavelengthSampler, node_spectra, span
 
+CROWN = {"index": 1.5168, "abbe": 64.2}
 SMALL = PlenopticCamera(resolution=(64, 64), detector_width=0.128)
 
 
@@ -47,7 +48,6 @@ def test_drawn_wavelengths_integrate_responses():
 
 
 def nodes_of(spectrum, camera, accuracy):
-    """Return the wavelengths of all channels' nodes."""
     groups = node_spectra(camera, spectrum, accuracy)
     return sorted({node for _, of_channels in groups for node in of_channels.computed})
 
@@ -58,7 +58,7 @@ def test_nodes_are_as_many_as_spots_need():
     coarse, fine = (nodes_of(wide, SMALL, accuracy) for accuracy in (0.01, 0.002))
     assert 1 < len(coarse) < len(fine) < 10
     # Crown glass shifts the focus.
-    assert len(nodes_of(wide, SMALL.replace(glass={"index": 1.5168, "abbe": 64.2}), 0.01)) > len(fine)
+    assert len(nodes_of(wide, SMALL.replace(glass=CROWN), 0.01)) > len(fine)
 
 
 def fast_lenses():
@@ -79,9 +79,7 @@ def test_channels_share_a_node_where_pixels_cannot_tell_their_spots():
     assert nodes_of(lines, camera.replace(mla_glass={"index": 1.6, "abbe": 25.0}), 0.01) == [464.0, 549.0, 611.0]
 
 
-WIDE = PlenopticCamera(
-    mla_pitch=0.25, detector_width=1.0, resolution=(32, 32), mla_glass={"index": 1.5168, "abbe": 64.2}
-)
+WIDE = PlenopticCamera(mla_pitch=0.25, detector_width=1.0, resolution=(32, 32), mla_glass=CROWN)
 """Behind its microlenses violet light is far from focus, and green light in focus."""
 
 

@@ -27,15 +27,10 @@ CAMERA = PlenopticCamera(
 def expected(camera):
     """Transmission at the pupil points that pixels see through the centres of their lenses."""
     x, y = np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1))
-    scale = camera.mla_distance / (camera.mla_distance + camera.detector_distance)
-    cx, cy = (np.floor(value * scale / camera.mla_pitch) + 0.5 for value in (x, y))
-    cx, cy = cx * camera.mla_pitch, cy * camera.mla_pitch
-    pupil = [
-        (c - (p - c) * camera.mla_distance / camera.detector_distance) / camera.pupil_radius
-        for p, c in ((x, cx), (y, cy))
-    ]
-    inside = np.hypot(*pupil) <= 1
-    return inside * camera.vignetting.power(*pupil, cx, cy)
+    b, z, pitch = camera.mla_distance, camera.detector_distance, camera.mla_pitch
+    cx, cy = ((np.floor(value * b / (b + z) / pitch) + 0.5) * pitch for value in (x, y))
+    pupil = [(c - (p - c) * b / z) / camera.pupil_radius for p, c in ((x, cx), (y, cy))]
+    return (np.hypot(*pupil) <= 1) * camera.vignetting.power(*pupil, cx, cy)
 
 
 def test_micro_images_are_the_transmission_of_the_pupil():
@@ -69,8 +64,7 @@ def test_light_that_an_outline_keeps_out_is_not_missing_from_refocused_images(ou
     camera = PlenopticCamera(resolution=(256, 256), detector_width=0.512, vignetting=outline, **turned)
     white = Capture(white_image(camera), camera, wavelength=633.0)
     for method, distance, most in (("ray", 240, 0.01), ("ray", 225, 0.02), ("coherent", 240, 0.04)):
-        image = reconstruct(white, distance, method=method).image
-        assert np.abs(image - 1).max() < most
+        assert np.abs(reconstruct(white, distance, method=method).image - 1).max() < most
         divided = reconstruct(white, distance, method=method, white=white).image
         assert divided == pytest.approx(np.ones_like(divided), abs=1e-3)
 
