@@ -187,7 +187,7 @@ class TestDepth:
 
     def test_focused_cameras_compare_micro_images(self):
         # Stripes finer than the lenses, which alias from lens to lens: the value of a sample at its exact place.
-        camera = small_camera(24, mla_focal_length=0.66, aperture_radius=4.9)
+        camera = small_camera(24, mla_focal_length=0.66, detector_distance=0.512, aperture_radius=4.9)
         lf = mp.decode(views.white_image(camera), camera=camera)
         function = texture(waves=40)
         # Where its lenses are in focus, samples near the rims of micro-images show their exact places.

@@ -238,7 +238,7 @@ def test_what_moves_by_hundredths_of_a_lens_is_not_sure():
 
 
 def test_micro_images_of_a_square_array_are_the_light_field():
-    camera = mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256), **FOCUSED)
+    camera = mp.PlenopticCamera(detector_width=0.512, resolution=(256, 256)).replace(**FOCUSED)
     image = np.random.default_rng(3).random(camera.shape, dtype=np.float32)
     lf, images = mp.decode(image, camera=camera), micro_images(image, camera=camera)
     np.testing.assert_array_equal(images.values[..., 0].transpose(2, 3, 0, 1), lf.values)
