@@ -54,7 +54,6 @@ def test_public_names_are_found_when_they_are_asked_for():
 
 @pytest.mark.needs_extension("inverse", "laser", "raw")
 def test_modules_are_imported_without_a_warning_and_without_their_library_are_no_attributes(python):
-    """The words are those of the refusal, and `help` shows what is there."""
     made = python("""
     import pydoc, sys
     import mitsuba_plenoptic as mp

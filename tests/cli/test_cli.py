@@ -42,8 +42,6 @@ def remarks(tmp_path, capfd):
 
 
 def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
-    """By a parameter as well; a film that does not say records rgb."""
-
     def variant():
         return read_capture(tmp_path / "raw.exr").metadata["variant"]
 
@@ -145,9 +143,8 @@ def test_info_of_scenes_captures_and_cameras(raw, tmp_path, run):
 def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_path, run, complaint):
     path, beside = tmp_path / "raw.exr", tmp_path / "raw.truth.exr"
     small = ("-D", "detector_width=0.768", "-D", "resolution=192", "--spp", "2")
-    assert f"{beside}: ground truth, depth, normal" in run(
-        "render", "still_life", *small, "-o", path, "--aov", "depth, normal"
-    )
+    told = run("render", "still_life", *small, "-o", path, "--aov", "depth, normal")
+    assert f"{beside}: ground truth, depth, normal" in told
     truth = read_ground_truth(beside)
     assert list(truth.pixels) == ["depth", "normal"] and truth.pixels["depth"].shape == (192, 192)
     depth = ("-o", tmp_path / "depth.exr", "--planes", 16)

@@ -176,7 +176,6 @@ def test_fields_that_end_with_a_page(python):
 
 @pytest.mark.slow
 def test_python_without_docstrings_and_assertions(python):
-    """Scenes load, capture and refocus as ever, and all commands have help."""
     code = """
     import sys, mitsuba as mi
     import mitsuba_plenoptic as mp
@@ -198,7 +197,6 @@ def test_python_without_docstrings_and_assertions(python):
 
 @pytest.mark.parametrize("swept", [pytest.param("frozen", marks=pytest.mark.slow), "symbolic"])
 def test_collected_garbage_destroys_no_scene_that_drjit_counts(python, swept):
-    """Neither frozen nor symbolic code ends the process when scenes of before are collected meanwhile."""
     told = python(
         """
         import gc, sys
