@@ -22,10 +22,8 @@ def loaded(code):
     modules = json.loads(made.stderr.splitlines()[-1])
     own = {name.partition(".")[2] for name in modules if name.partition(".")[0] == "mitsuba_plenoptic"}
     # Records alone: the `__init__` of each extension.
-    own -= {
-        "extensions",
-        *(f"extensions.{path.parent.name}" for path in (PACKAGE / "extensions").glob("*/__init__.py")),
-    }
+    records = {f"extensions.{path.parent.name}" for path in (PACKAGE / "extensions").glob("*/__init__.py")}
+    own -= {"extensions", *records}
     return own, {name.partition(".")[0] for name in modules}
 
 

@@ -191,9 +191,9 @@ def test_a_scene_is_rendered_by_a_camera_of_a_data_sheet(run, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     run("render", "letters", "-o", "raw.exr", "--spp", "1", "--camera", SHEET)
     capture = read_capture("raw.exr")
-    assert capture.image.shape == (60, 80) and capture.camera == PlenopticCamera.matched(
-        f_number=2.8, lenses=(8, 6), pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320
-    )
+    numbers = {"f_number": 2.8, "lenses": (8, 6), "pixels_per_lens": 10, "pixel_size": 0.005}
+    assert capture.camera == PlenopticCamera.matched(**numbers, focal_length=50, focus_distance=320)
+    assert capture.image.shape == (60, 80)
     said = run("info", f"{SHEET},mla_lattice=hexagonal", "--wavelength", "550")
     assert "f/2.8" in said and "Warning" not in said
 

@@ -89,9 +89,8 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says():
     bar = axes.patches[-1].get_window_extent()
     glass, array = (axes.lines[index].get_xdata()[0] for index in (0, -1))
     pixels = abs(np.subtract(*axes.transData.transform([(glass, 0), (array, 0)])[:, 0]))
-    assert bar.width / float(axes.texts[-1].get_text().removesuffix(" mm")) == pytest.approx(
-        pixels / abs(glass - array)
-    )
+    length = float(axes.texts[-1].get_text().removesuffix(" mm"))
+    assert bar.width / length == pytest.approx(pixels / abs(glass - array))
 
 
 def test_figures_see_pupils_that_grow_off_the_axis():

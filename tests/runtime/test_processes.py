@@ -134,9 +134,8 @@ def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch, request)
         woken.set()
         return nanothread.task_submit_dep(*arguments)
 
-    stand_in = SimpleNamespace(
-        pool_set_size=resize, task_submit_dep=submit, task_wait_and_release=nanothread.task_wait_and_release
-    )
+    wait = nanothread.task_wait_and_release
+    stand_in = SimpleNamespace(pool_set_size=resize, task_submit_dep=submit, task_wait_and_release=wait)
     monkeypatch.setattr(fft, "_nanothread", lambda: stand_in)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     dr.kernel_history_clear()
