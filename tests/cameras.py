@@ -100,9 +100,8 @@ def pinhole_picture(scene, columns, rows, width, x=0.0, y=0.0, **options):
 
 def colour_filters(camera, mosaic):
     """Return each pixel's channel: the letters of a mosaic's name, row by row from the detector's first pixel."""
-    columns, rows = (
-        (np.arange(count) + first) % 2 for first, count in zip(camera.crop_offset, camera.crop_size, strict=True)
-    )
+    sides = zip(camera.crop_offset, camera.crop_size, strict=True)
+    columns, rows = ((np.arange(count) + first) % 2 for first, count in sides)
     return np.array(["RGB".index(letter) for letter in mosaic]).reshape(2, 2)[np.ix_(rows, columns)]
 
 

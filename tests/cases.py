@@ -317,9 +317,7 @@ _PUPIL = 693
 
 def ordinary_camera(airy: float, size: int = 48, **parameters: Any) -> PlenopticCamera:
     """Return an f/20 camera of square films whose pixels are some radii of the Airy disc wide."""
-    camera = PlenopticCamera(
-        mla_lattice="none", focal_length=80, aperture_radius=2, mla_distance=120, resolution=(size, size)
-    )
+    camera = PlenopticCamera(mla_lattice="none", aperture_radius=2, mla_distance=120, resolution=(size, size))
     return camera.replace(detector_width=size * airy * AIRY_RADIUS * unit_of(camera), **parameters)
 
 

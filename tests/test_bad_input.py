@@ -199,14 +199,13 @@ TEXTS = {
 
 PLACES = st.integers(0, 2047) | st.integers(0, 2**20)
 WORDS = [number.to_bytes(4, "little") for number in (0, 1, 65536, 2**30, 2**31 - 1, 2**31, 2**32 - 1)]
+INSERTED = [b"\xff", b"\0", b"\xed\xa0\x80", b"\xe2\x82", b"\x1b[2J", b"9" * 5000]
 EDITS = st.one_of(
     st.tuples(PLACES, st.just(1), st.binary(min_size=1, max_size=1)),
     st.tuples(PLACES, st.just(4), st.sampled_from(WORDS)),
     st.tuples(PLACES, st.integers(0, 64), st.binary(max_size=64)),
     st.tuples(PLACES, st.just(2**30), st.just(b"")),
-    st.tuples(
-        PLACES, st.just(0), st.sampled_from([b"\xff", b"\0", b"\xed\xa0\x80", b"\xe2\x82", b"\x1b[2J", b"9" * 5000])
-    ),
+    st.tuples(PLACES, st.just(0), st.sampled_from(INSERTED)),
     st.tuples(st.just(0), st.just(0), st.sampled_from([b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf", b"\r", b"\x1f\x8b"])),
 )
 """Damage to a file: where, how many bytes go, and what comes in their place."""

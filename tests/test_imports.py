@@ -22,10 +22,8 @@ def loaded(code):
     modules = json.loads(made.stderr.splitlines()[-1])
     own = {name.partition(".")[2] for name in modules if name.partition(".")[0] == "mitsuba_plenoptic"}
     # Records alone: the `__init__` of each extension.
-    own -= {
-        "extensions",
-        *(f"extensions.{path.parent.name}" for path in (PACKAGE / "extensions").glob("*/__init__.py")),
-    }
+    records = {f"extensions.{path.parent.name}" for path in (PACKAGE / "extensions").glob("*/__init__.py")}
+    own -= {"extensions", *records}
     return own, {name.partition(".")[0] for name in modules}
 
 
@@ -54,7 +52,6 @@ def test_public_names_are_found_when_they_are_asked_for():
 
 @pytest.mark.needs_extension("inverse", "laser", "raw")
 def test_modules_are_imported_without_a_warning_and_without_their_library_are_no_attributes(python):
-    """The words are those of the refusal, and `help` shows what is there."""
     made = python("""
     import pydoc, sys
     import mitsuba_plenoptic as mp

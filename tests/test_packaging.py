@@ -15,6 +15,7 @@ import mitsuba_plenoptic
 ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PACKAGE = ROOT / "mitsuba_plenoptic"
+FOLDERS = {"mitsuba_plenoptic": PACKAGE, "mitsuba_plenoptic.scenes": ROOT / "scenes"}
 
 
 def test_every_folder_with_code_is_a_package_and_nothing_is_a_link():
@@ -24,13 +25,10 @@ def test_every_folder_with_code_is_a_package_and_nothing_is_a_link():
     assert [path for top in (PACKAGE, ROOT / "scenes") for path in top.rglob("*") if path.is_symlink()] == []
 
 
-@pytest.mark.parametrize(
-    "package, folder", [("mitsuba_plenoptic", PACKAGE), ("mitsuba_plenoptic.scenes", ROOT / "scenes")]
-)
+@pytest.mark.parametrize("package, folder", FOLDERS.items())
 def test_data_files_are_packed(package, folder):
-    packed = {
-        path for pattern in PROJECT["tool"]["setuptools"]["package-data"][package] for path in folder.glob(pattern)
-    }
+    patterns = PROJECT["tool"]["setuptools"]["package-data"][package]
+    packed = {path for pattern in patterns for path in folder.glob(pattern)}
     present = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc")}
     assert packed == present
 

@@ -42,8 +42,6 @@ def remarks(tmp_path, capfd):
 
 
 def test_the_variant_follows_the_film_unless_told(tmp_path, remarks):
-    """By a parameter as well; a film that does not say records rgb."""
-
     def variant():
         return read_capture(tmp_path / "raw.exr").metadata["variant"]
 
@@ -145,9 +143,8 @@ def test_info_of_scenes_captures_and_cameras(raw, tmp_path, run):
 def test_ground_truth_lies_beside_the_capture_and_reaches_views_and_depth(tmp_path, run, complaint):
     path, beside = tmp_path / "raw.exr", tmp_path / "raw.truth.exr"
     small = ("-D", "detector_width=0.768", "-D", "resolution=192", "--spp", "2")
-    assert f"{beside}: ground truth, depth, normal" in run(
-        "render", "still_life", *small, "-o", path, "--aov", "depth, normal"
-    )
+    told = run("render", "still_life", *small, "-o", path, "--aov", "depth, normal")
+    assert f"{beside}: ground truth, depth, normal" in told
     truth = read_ground_truth(beside)
     assert list(truth.pixels) == ["depth", "normal"] and truth.pixels["depth"].shape == (192, 192)
     depth = ("-o", tmp_path / "depth.exr", "--planes", 16)
@@ -194,9 +191,9 @@ def test_a_scene_is_rendered_by_a_camera_of_a_data_sheet(run, tmp_path, monkeypa
     monkeypatch.chdir(tmp_path)
     run("render", "letters", "-o", "raw.exr", "--spp", "1", "--camera", SHEET)
     capture = read_capture("raw.exr")
-    assert capture.image.shape == (60, 80) and capture.camera == PlenopticCamera.matched(
-        f_number=2.8, lenses=(8, 6), pixels_per_lens=10, pixel_size=0.005, focal_length=50, focus_distance=320
-    )
+    numbers = {"f_number": 2.8, "lenses": (8, 6), "pixels_per_lens": 10, "pixel_size": 0.005}
+    assert capture.camera == PlenopticCamera.matched(**numbers, focal_length=50, focus_distance=320)
+    assert capture.image.shape == (60, 80)
     said = run("info", f"{SHEET},mla_lattice=hexagonal", "--wavelength", "550")
     assert "f/2.8" in said and "Warning" not in said
 

@@ -36,9 +36,7 @@ def test_every_command_can_be_quiet_and_verbose():
     assert len({text for opts, text in options if "--resume" in opts}) == 1
 
 
-def test_a_quiet_command_prints_results_and_errors_alone_and_a_verbose_one_names_files(
-    raw, tmp_path, capfd, monkeypatch
-):
+def test_quiet_commands_print_results_and_errors_alone_and_verbose_ones_name_files(raw, tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(progress, "FIRST_LINE", 0.001)
     out = tmp_path / "out.exr"
     words = ["reconstruct", str(raw), "--distance", "240", "-o", str(out)]
@@ -188,7 +186,6 @@ def press_keys(process, delay):
 
 @pytest.mark.parametrize(("words", "delay"), [(WAVES, 0.0), pytest.param(RAYS, 2.0, marks=pytest.mark.slow)])
 def test_ctrl_c_is_one_line_and_a_status(words, delay, tmp_path):
-    """Sent from outside, at whatever moment of the capture."""
     command = [sys.executable, "-m", "mitsuba_plenoptic", *words, "-v", "-o", str(tmp_path / "raw.exr")]
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -246,7 +243,6 @@ def test_help_and_refused_options_import_no_library():
 
 
 def test_words_are_completed():
-    """By the package run as a module, as by the command."""
     asked = {"COMP_WORDS": "mitsuba-plenoptic render letters --model ", "COMP_CWORD": "4"}
     asked["_MITSUBA_PLENOPTIC_COMPLETE"] = "complete_bash"
     command = [sys.executable, "-m", "mitsuba_plenoptic"]

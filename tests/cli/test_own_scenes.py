@@ -80,9 +80,8 @@ def test_own_scenes_in_metres_are_swept(box, camera, tmp_path, run, complaint):
     assert complaint(*words, "-D", "resx=4").startswith("-D resx: it is of the scene's own camera")
     assert complaint(*words, "--vary", "resx=3,4").startswith("grid: resx: it is of the scene's own camera")
     assert run(*words).endswith("over 2 distance\n")
-    capture = mp.render_capture(
-        mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text())), spp=4
-    )
+    scene = mp.with_camera(mp.load_scene(box, unit="m"), mp.PlenopticCamera.from_json(camera.read_text()))
+    capture = mp.render_capture(scene, spp=4)
     found = mp.read_capture(tmp_path / "out.points" / "capture.exr")
     assert found.camera == capture.camera
     assert (found.image == capture.image).all() and capture.image.any()

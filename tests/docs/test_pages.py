@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -51,13 +52,10 @@ def test_pages_can_be_pasted_from_their_top(page):
         if kind == "python":
             code += text
             written |= set(re.findall(r"""["'](\S+\.\w+)["']""", text))
-        for line in (
-            re.findall(r"^\$ mitsuba-plenoptic \w+ (.*)$", text, flags=re.MULTILINE) if kind == "console" else ()
-        ):
+        lines = re.findall(r"^\$ mitsuba-plenoptic \w+ (.*)$", text, flags=re.MULTILINE)
+        for line in lines if kind == "console" else ():
             words = shlex.split(line, comments=True)
-            outputs = {
-                words[number + 1] for number, word in enumerate(words) if word in ("-o", "--output", "--microlens")
-            }
+            outputs = {following for word, following in pairwise(words) if word in ("-o", "--output", "--microlens")}
             read = {word for word in words if re.fullmatch(r"[\w./]+\.(exr|tiff?|png|json|yaml|xml|nc|zarr|pdf)", word)}
             # Several distances make out_210.exr of out.exr.
             stems = {re.sub(r"_[\d.]+(?=\.)", "", word): word for word in read - outputs - written}

@@ -88,9 +88,8 @@ FOLDER = Path(mp.__file__).parent / "examples"
 def test_names_and_files_agree():
     """The wheel may grow by 2 MB."""
     files = sorted(FOLDER.iterdir())
-    assert [file.name for file in files] == sorted(
-        f"{name}{suffix}" for name in NAMES for suffix in (".exr", ".truth.exr")
-    )
+    wanted = [f"{name}{suffix}" for name in NAMES for suffix in (".exr", ".truth.exr")]
+    assert [file.name for file in files] == sorted(wanted)
     assert sum(file.stat().st_size for file in files) < 2e6
     assert tuple(make_examples.CAPTURES) == NAMES
     refuses("^example = 'letters': ", mp.example, "letters")
@@ -120,7 +119,6 @@ def test_each_letter_is_sharp_at_its_distance(name="letters-wave", loss=0.15):
 
 
 def test_the_tool_makes_them(tmp_path, monkeypatch):
-    """With few samples: the mean agrees, and the ground truth is the same."""
     monkeypatch.setattr(make_examples, "SAMPLES", 2)
     make_examples.write_example(tmp_path / "white.exr", *make_examples.CAPTURES["white"])
     made, packed = mp.read_capture(tmp_path / "white.exr"), mp.example("white")
@@ -177,7 +175,6 @@ def test_a_bmp_means_what_the_same_png_means(tmp_path, mode, same):
 
 @pytest.mark.needs_extension("raw")
 def test_folders_of_views_and_old_files_of_hci_become_mosaics(tmp_path):
-    """By the step that the refusal names."""
     views = np.random.default_rng(2).integers(0, 256, (3, 3, 8, 10, 3), np.uint8)
     h5py = pytest.importorskip("h5py")
     with h5py.File(tmp_path / "lf.h5", "w") as file:

@@ -130,10 +130,7 @@ PRESCRIPTIONS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [*THIN, *MICROLENSES, *OBJECTIVES, *PRESCRIPTIONS],
-)
+@pytest.mark.parametrize(("parameters", "words"), [*THIN, *MICROLENSES, *OBJECTIVES, *PRESCRIPTIONS])
 def test_impossible_cameras_are_refused_in_one_line(parameters, words):
     refuses(words, PlenopticCamera, **parameters)
 

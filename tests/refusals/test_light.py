@@ -99,7 +99,6 @@ def test_what_cannot_be_differentiated_is_refused_by_name(child, key, words):
 
 
 def test_light_without_a_derivative_is_refused_with_what_is_missing():
-    """By the position of a lamp, on which the light depends."""
     scene = lit({"type": "diffuse"}, {"type": "point", "position": [0, 0, 100]})
     params = mi.traverse(scene)
     dr.enable_grad(params["lamp.position"])

@@ -76,9 +76,8 @@ def of_reconstructions(method):
         """A white world reads 1 over the middle of the image: by rays, where a method has responses of both models."""
         capture = mp.render_capture(sky(draw.camera), model="ray", spp=64)
         others = {"response": "ray"} if method == "deconvolved" else {}
-        image = image_at(
-            draw.camera, capture.image, 0.96 * draw.camera.focus_distance, method, draw.wavelength, **others
-        )
+        g = 0.96 * draw.camera.focus_distance
+        image = image_at(draw.camera, capture.image, g, method, draw.wavelength, **others)
         rows, columns = (count // 4 for count in image.shape)
         return abs(float(np.nanmean(image[rows:-rows, columns:-columns])) - 1), 0.02
 

@@ -116,9 +116,8 @@ def halves(draw):
     """Pictures of halves add up to that of whole lenses, and a mirrored capture exchanges them; of one camera."""
     camera = mp.PlenopticCamera(detector_width=0.0512, resolution=(16, 16), mla_pitch=0.0064, mla_distance=60.0)
     image = draw.rng.random((16, 16), np.float32)
-    plain, mirrored = (
-        onchip.dual_pixel(mp.Capture(np.ascontiguousarray(each), camera)).values for each in (image, image[:, ::-1])
-    )
+    captures = (mp.Capture(each, camera) for each in (image, image[:, ::-1].copy()))
+    plain, mirrored = (onchip.dual_pixel(each).values for each in captures)
     whole = image.reshape(8, 2, 8, 2).sum((1, 3))
     return max(off(plain[0].sum(0), whole), off(mirrored[0, 0], plain[0, 1][:, ::-1])), 1e-6
 
@@ -148,7 +147,6 @@ def samples(draw):
 def grey_mosaic(draw):
     """An even grey through a mosaic of filters is grey again, by plain interpolation."""
     mosaic, level = str(draw.rng.choice(choices.MOSAICS)), float(draw.rng.uniform(0.2, 1.0))
-    colours = mp.demosaic(
-        mp.Capture(np.full(draw.camera.shape, level, np.float32), draw.camera), mosaic=mosaic, method="plain"
-    )
+    grey = mp.Capture(np.full(draw.camera.shape, level, np.float32), draw.camera)
+    colours = mp.demosaic(grey, mosaic=mosaic, method="plain")
     return float(np.abs(colours.image - level).max()), 1e-5

@@ -75,11 +75,9 @@ def light_field_files(draw):
 def volume_files(draw):
     """A volume that is written is read by tifffile with its values and distances."""
     suffix = chosen(draw, "volume")
-    g = draw.camera.focus_distance
-    results = mp.reconstruct(
-        draw.rng.random(draw.camera.shape, np.float32), [0.97 * g, 0.98 * g, 0.99 * g], camera=draw.camera, method="ray"
-    )
-    volume = Volume.of(results)
+    image = draw.rng.random(draw.camera.shape, np.float32)
+    distances = np.array([0.97, 0.98, 0.99]) * draw.camera.focus_distance
+    volume = Volume.of(mp.reconstruct(image, distances, camera=draw.camera, method="ray"))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"volume{suffix}"
         write_volume(path, volume)

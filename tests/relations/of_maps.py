@@ -49,9 +49,8 @@ def stored(draw):
 def rays_of_points(draw):
     """The rays that fits follow are those of point spreads."""
     point = draw.point()
-    image = PointRays(draw.camera, np.array([point]), draw.wavelength).image(
-        OpticalSystem(draw.camera, draw.wavelength), np.ones(1)
-    )
+    rays = PointRays(draw.camera, np.array([point]), draw.wavelength)
+    image = rays.image(OpticalSystem(draw.camera, draw.wavelength), np.ones(1))
     expected = mp.point_spread_function(draw.camera, point, model="ray", wavelength=draw.wavelength)
     if expected.sum() < 0.1:
         # Of a crop beside the light, or at its edge, the fraction of all light is compared.

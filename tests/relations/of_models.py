@@ -26,9 +26,8 @@ def sum_of_lamps(draw):
     """The picture of two lamps is the sum of their pictures, within the error of a patch."""
     points, weights = [draw.point(), draw.point()], draw.rng.uniform(0.2, 2.0, 2)
     one, two = (picture(draw.camera, [point], draw.wavelength) for point in points)
-    return off(picture(draw.camera, points, draw.wavelength, weights), weights[0] * one + weights[1] * two), bound(
-        draw, 0.005
-    )
+    both = picture(draw.camera, points, draw.wavelength, weights)
+    return off(both, weights[0] * one + weights[1] * two), bound(draw, 0.005)
 
 
 @relation(Use.POINTS)
@@ -72,9 +71,8 @@ def larger_detector(draw):
     small = picture(camera, points, draw.wavelength)
     count = camera.resolution[0]
     pixels = count + 2 * more
-    larger = camera.replace(
-        detector_width=camera.detector_width * pixels / count, resolution=(pixels,) * 2, crop_size=(pixels,) * 2
-    )
+    width, size = camera.detector_width * pixels / count, (pixels,) * 2
+    larger = camera.replace(detector_width=width, resolution=size, crop_size=size)
     whole = picture(larger, points, draw.wavelength)
     rim = 8 if {"detector_blur", "pixel_crosstalk"} & set(draw.options) else 0
     inner = np.s_[rim : count - rim, rim : count - rim]
@@ -189,10 +187,8 @@ def medium(draw):
 @relation(Use.POINTS | Use.FULL_FIELDS, f"main_lens {CROPS}", "full fields")
 def full_fields(draw):
     """Point spreads on the lit lenses are those on the whole array, within what their page states."""
-    point, methods = draw.point(), ("patch", "full_field")
-    one, two = (
-        mp.point_spread_function(draw.camera, point, wavelength=draw.wavelength, method=each) for each in methods
-    )
+    of, at = (draw.camera, draw.point()), {"wavelength": draw.wavelength}
+    one, two = (mp.point_spread_function(*of, **at, method=each) for each in ("patch", "full_field"))
     return off(one, two), bound(draw, 0.005)
 
 
@@ -244,9 +240,8 @@ class Elsewhere:
 def workers_of_points(draw):
     """A sum of points has the same bits on one thread, on several, and where batches are sent to."""
     operator = mp.CaptureOperator(draw.camera, [draw.point() for _ in range(3)], wavelength=draw.wavelength)
-    one, *others = (
-        operator.forward(np.ones(3), job=Job(batch_map=each)) for each in (Threads(1), Threads(3), Elsewhere())
-    )
+    ways = Threads(1), Threads(3), Elsewhere()
+    one, *others = (operator.forward(np.ones(3), job=Job(batch_map=each)) for each in ways)
     return float(not all(np.array_equal(each, one) for each in others)), 0.0
 
 

@@ -235,13 +235,10 @@ def product_rule(draw):
     """Derivatives of what pixels record are those of their light, as pixels mix it, and those of the mixing."""
     camera, points = differentiable(draw.camera), [draw.point(0.5)]
     moves = directions_of(camera, draw.rng, 3)
-    recorded, light = (
-        mp.CaptureOperator(each, points, wavelength=draw.wavelength) for each in (camera, camera.replace(**SHARP))
-    )
-    slopes, of_light = (
-        each.jacobian([1.0], [{name: direction} for name, (_, direction) in moves.items()])
-        for each in (recorded, light)
-    )
+    both = camera, camera.replace(**SHARP)
+    recorded, light = (mp.CaptureOperator(each, points, wavelength=draw.wavelength) for each in both)
+    directions = [{name: direction} for name, (_, direction) in moves.items()]
+    slopes, of_light = (each.jacobian([1.0], directions) for each in (recorded, light))
     image, worst = light.forward([1.0]), []
     for slope, plain, (name, (value, direction)) in zip(slopes, of_light, moves.items(), strict=True):
 

@@ -46,7 +46,6 @@ def test_a_relation_holds(name):
 
 
 def test_every_extension_is_drawn():
-    """Or it says why not."""
     names = {package.rpartition(".")[2] for package in installed() if package.startswith("mitsuba_plenoptic.")}
     assert names == set(DRAWN) | set(EXTENSIONS_NOT_DRAWN)
     assert not set(DRAWN) & set(EXTENSIONS_NOT_DRAWN)

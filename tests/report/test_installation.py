@@ -53,9 +53,8 @@ def test_a_driver_that_mitsuba_cannot_use(machine):
 def test_cuda_without_llvm_is_not_ready_for_the_default_variant(machine):
     status, found = machine(cuda=True, llvm=NO_LLVM, script="pass")
     assert status == 1 and not found["ready"] and found["GPU"]["OptiX"] == "works"
-    assert found["verdict"] == (
-        "Not ready: llvm_ad_mono, the default variant, does not render here; --variant cuda_ad_mono does"
-    )
+    other = "llvm_ad_mono, the default variant, does not render here; --variant cuda_ad_mono does"
+    assert found["verdict"] == f"Not ready: {other}"
 
 
 @pytest.mark.parametrize(

@@ -89,9 +89,8 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says():
     bar = axes.patches[-1].get_window_extent()
     glass, array = (axes.lines[index].get_xdata()[0] for index in (0, -1))
     pixels = abs(np.subtract(*axes.transData.transform([(glass, 0), (array, 0)])[:, 0]))
-    assert bar.width / float(axes.texts[-1].get_text().removesuffix(" mm")) == pytest.approx(
-        pixels / abs(glass - array)
-    )
+    length = float(axes.texts[-1].get_text().removesuffix(" mm"))
+    assert bar.width / length == pytest.approx(pixels / abs(glass - array))
 
 
 def test_figures_see_pupils_that_grow_off_the_axis():
@@ -116,7 +115,6 @@ SEQ = "RDM;LEN\nDIM M\nWL 587.5618\nSO 0.0 1e13\nS {0} {1} 1.5:60.0\n STO\n CIR 
 
 
 def test_a_lens_file_is_judged_where_parallel_light_is_in_focus(tmp_path, capsys, radius=0.5, gap=0.1):
-    """By the lens-maker's formula, whatever the size; nothing of the built-in cameras is in the way."""
     (tmp_path / "lens.seq").write_text(SEQ.format(radius, gap, 0.1))
     focal_length = 1 / (0.5 * (2 / radius - 0.5 * gap / (1.5 * radius**2)))
     drawing = ["--drawing", str(tmp_path / "lens.png"), "--dpi", "40"]
@@ -242,7 +240,6 @@ def test_fields_of_near_objects_of_any_kind(kind, angles, tmp_path):
 
 @pytest.mark.parametrize("distance", ["inf", "500"])
 def test_codev_without_apertures_has_those_of_its_pupil(distance, tmp_path):
-    """The f-number is that of the paraxial marginal ray in the image."""
     text = (RECORDS / "double_gauss.seq").read_text()
     (tmp_path / "lens.seq").write_text(re.sub(r"\n  CIR.*", "", text).replace("SO 0 inf", f"SO 0 {distance}"))
     lens = read_prescription(tmp_path / "lens.seq")
@@ -254,7 +251,6 @@ def test_codev_without_apertures_has_those_of_its_pupil(distance, tmp_path):
 
 
 def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
-    """The lens of the page, with nothing that is not of the lens."""
     page = (Path(__file__).parent.parent.parent / "docs/guides/main_lenses.md").read_text()
     (tmp_path / "own.yaml").write_text(re.search("```yaml\n(name: Achromat.*?)```", page, re.S)[1])
     options = ["--field", "3", "--f-number", "8", "--drawing", str(tmp_path / "own.png")]

@@ -39,9 +39,8 @@ def test_what_is_unknown_does_not_count(shape):
     ssim = skimage.metrics.structural_similarity(reference, image, data_range=peak, channel_axis=channels)
     assert (found.psnr, found.ssim) == pytest.approx((psnr, ssim), rel=1e-4)
     assert found.energy == pytest.approx(image.sum() / reference.sum(), rel=1e-5)
-    assert metrics.common_scale(half[:1], half[1:]) == pytest.approx(
-        (image * reference).sum() / (image**2).sum(), rel=1e-5
-    )
+    scale = (image * reference).sum() / (image**2).sum()
+    assert metrics.common_scale(half[:1], half[1:]) == pytest.approx(scale, rel=1e-5)
     nothing = metrics.image_metrics(half[0], np.full(shape, np.nan))
     assert math.isnan(nothing.psnr) and nothing.ssim is None
 

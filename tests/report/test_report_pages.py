@@ -53,9 +53,8 @@ def test_a_page_has_its_sections_with_their_parts(tmp_path):
 )
 def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monkeypatch, caplog, coarse_figures):
     monkeypatch.setattr(experiment, "OBJECT_COLUMNS", 32)
-    camera = mp.PlenopticCamera(
-        mla_pitch=pitch, mla_focal_length=8 * pitch, detector_width=32 * pitch, resolution=(256, 256)
-    )
+    lenses = {"mla_pitch": pitch, "mla_focal_length": 8 * pitch}
+    camera = mp.PlenopticCamera(**lenses, detector_width=32 * pitch, resolution=(256, 256))
     size = {"camera": camera.to_dict(), "parameters": {"letter_scale": str(4 * pitch)}, "distances": (240.0,)}
     spent = {"methods": methods_of_both(["ray"]), "spp": spp, "truth_spp": 4 * spp, "noise": True, "pdf": False}
     settings = Settings("letters", **size, **spent)
@@ -67,8 +66,7 @@ def test_a_comparison_says_whether_rays_suffice(pitch, spp, rule, tmp_path, monk
     assert stages[0] == "capture_ray, 1 of 6" and stages[-1] == "thin_lens_240, 6 of 6"
     # The picture that shows it stands below, and one distance has no slider.
     page = (tmp_path / "report.html").read_text()
-    answer, change, detector = map(
-        page.index, (results["answer"][:20], "What waves change at 240 mm", 'id="section-on-the-detector')
-    )
+    parts = results["answer"][:20], "What waves change at 240 mm", 'id="section-on-the-detector'
+    answer, change, detector = map(page.index, parts)
     assert answer < change < detector
     assert re.search(r'id="distance" [^>]* hidden>', page) and 'class="ends"' not in page

@@ -114,7 +114,6 @@ def test_a_scheduler_at_an_address(cluster, tmp_path):
 
 @pytest.mark.slow
 def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_path):
-    """Scheduler and worker as other programs; the capture goes on without them."""
     logs = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     file = tmp_path / "scheduler.json"
     command = [sys.executable, "-m", "distributed.cli.dask_{}", "--scheduler-file", str(file)]

@@ -123,7 +123,6 @@ def launches(device, work):
     "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("derivative", "gradient"))) for n in WORKS]
 )
 def test_more_points_of_a_batch_start_no_more_kernels(name, camera, request, monkeypatch):
-    """And their sums are those that the processor computes point by point."""
     # The small patches that many points have, also for derivatives, in one chain of fields.
     monkeypatch.setattr(plan, "derivative_band_for", lambda accuracy, count: band_for(accuracy, 2**20))
     monkeypatch.setattr(patch, "_CUDA", patch._CUDA._replace(chain=2**23))

@@ -85,9 +85,8 @@ def test_the_estimate_of_rays_is_that_of_what_is_allocated(camera, python):
 
 
 def wave_capture(**options):
-    return render_capture(
-        load_scene("white", parameters={"resolution": "32", "detector_width": "0.128"}), model="wave", **options
-    )
+    scene = load_scene("white", parameters={"resolution": "32", "detector_width": "0.128"})
+    return render_capture(scene, model="wave", **options)
 
 
 @pytest.mark.parametrize(

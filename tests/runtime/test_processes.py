@@ -134,9 +134,8 @@ def test_a_thread_that_missed_its_request_to_stop_is_woken(monkeypatch, request)
         woken.set()
         return nanothread.task_submit_dep(*arguments)
 
-    stand_in = SimpleNamespace(
-        pool_set_size=resize, task_submit_dep=submit, task_wait_and_release=nanothread.task_wait_and_release
-    )
+    wait = nanothread.task_wait_and_release
+    stand_in = SimpleNamespace(pool_set_size=resize, task_submit_dep=submit, task_wait_and_release=wait)
     monkeypatch.setattr(fft, "_nanothread", lambda: stand_in)
     dr.set_flag(dr.JitFlag.KernelHistory, True)
     dr.kernel_history_clear()
@@ -176,7 +175,6 @@ def test_fields_that_end_with_a_page(python):
 
 @pytest.mark.slow
 def test_python_without_docstrings_and_assertions(python):
-    """Scenes load, capture and refocus as ever, and all commands have help."""
     code = """
     import sys, mitsuba as mi
     import mitsuba_plenoptic as mp
@@ -198,7 +196,6 @@ def test_python_without_docstrings_and_assertions(python):
 
 @pytest.mark.parametrize("swept", [pytest.param("frozen", marks=pytest.mark.slow), "symbolic"])
 def test_collected_garbage_destroys_no_scene_that_drjit_counts(python, swept):
-    """Neither frozen nor symbolic code ends the process when scenes of before are collected meanwhile."""
     told = python(
         """
         import gc, sys

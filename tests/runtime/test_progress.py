@@ -54,9 +54,8 @@ def test_lines_come_without_a_report_and_go_on_with_the_last_one(often, capsys):
     with progress_bar("Rendering") as bar:
         bar(0, 4)
         bar(1, 4)
-        elapsed, left = map(
-            float, re.search(r"25 %, (\d+) s, about ([\d.]+) s left", printed(capsys, "left$")).groups()
-        )
+        said = re.search(r"25 %, (\d+) s, about ([\d.]+) s left", printed(capsys, "left$"))
+        elapsed, left = map(float, said.groups())
         assert 3 * (elapsed - 0.5) <= left <= 3 * (elapsed + 0.5)
     wait_for_threads(before)
 

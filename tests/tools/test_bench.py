@@ -105,9 +105,8 @@ def test_docs_write_full_results_with_the_options_of_the_mark(probe, tmp_path, c
 def test_ratios_are_taken_run_by_run(monkeypatch):
     """On a machine that grows slower by half from run to run, of which the first does not count."""
     clock, order = [0.0], []
-    monkeypatch.setattr(
-        timing, "time", SimpleNamespace(perf_counter=lambda: clock[0], process_time=lambda: clock[0] / 4)
-    )
+    watch = SimpleNamespace(perf_counter=lambda: clock[0], process_time=lambda: clock[0] / 4)
+    monkeypatch.setattr(timing, "time", watch)
 
     def work(name, seconds):
         order.append(name)
