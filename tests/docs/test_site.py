@@ -1,7 +1,6 @@
 """The check of the site finds its faults; the gallery is complete; pictures are small."""
 
 import json
-import re
 import runpy
 from pathlib import Path
 
@@ -48,37 +47,6 @@ def test_every_notebook_has_a_card_with_a_picture_and_a_download():
         assert f":link: {page.stem}\n" in index and f"thumbnails/{page.stem}.png" in index
         assert (ROOT / "docs" / "pictures" / "thumbnails" / f"{page.stem}.png").is_file()
         assert f"{{nb-download}}`Download this notebook <{page.stem}.ipynb>`" in page.read_text()
-
-
-def links(page):
-    """Return the pages to which a page leads, by its links and cards; a place in a page counts as the page."""
-    text = page.read_text()
-    found = re.findall(r"\]\(([^)#\s]+)[^)]*\)", text)
-    found += [f"{name}.md" for name in re.findall(r"^:link: (\S+)$", text, flags=re.MULTILINE)]
-    return {(page.parent / name).resolve() for name in found}
-
-
-QUESTIONS = [
-    ("How do I install it and take a first picture?", "start/index.md", None),
-    ("Does it simulate the camera that I have: focused, with several focal lengths?", "guides/focused.md", None),
-    ("How do I capture a scene of my own with good values?", "start/own_scene.md", "guides/index.md"),
-    ("How long does a capture take, and how do I divide a long one?", "guides/long_runs.md", "guides/index.md"),
-    ("How do I read pictures of a real camera?", "guides/exchange.md#raw-pictures-of-real-cameras", "guides/index.md"),
-    ("How do I cite it, and on which work is it based?", "theory/sources.md#citing", None),
-]
-"""Questions of readers, the page or section that answers each, and the page between it and the start page, if any."""
-
-
-@pytest.mark.parametrize("question, answer, between", QUESTIONS)
-def test_questions_of_readers_are_answered_within_two_clicks(question, answer, between):
-    docs = ROOT / "docs"
-    page, _, place = answer.partition("#")
-    target, start = (docs / page).resolve(), docs / "index.md"
-    first = (docs / between).resolve() if between else start
-    assert target in links(first)
-    assert not between or first in links(start)
-    titles = {re.sub(r"\W+", "-", title.lower()) for title in re.findall(r"^#+ (.*)$", target.read_text(), re.M)}
-    assert not place or place in titles
 
 
 def test_pictures_of_pages_are_small():

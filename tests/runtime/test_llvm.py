@@ -1,8 +1,6 @@
 """Which LLVM is chosen, and what a user is told where none is usable."""
 
 import os
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -114,39 +112,3 @@ def test_explanations(loaded, named, found, words, monkeypatch):
     monkeypatch.setattr(llvm, "install_command", lambda: "INSTALL")
     said = llvm.explain(loaded, named, found)
     assert all(word.replace("NAMED", llvm.VARIABLE) in said for word in words)
-
-
-class TestTool:
-    """`tools/ensure_llvm.py`, with apt and sudo replaced by scripts that write down what they are asked."""
-
-    def run(self, tmp_path, names):
-        """Run the tool where only the programs in `names` exist and no LLVM is found."""
-        programs = tmp_path / "bin"
-        programs.mkdir()
-        for name, text in names.items():
-            (programs / name).write_text(f'#!/bin/sh\necho "{name} $*" >> {tmp_path}/log\n{text}\n')
-            (programs / name).chmod(0o755)
-        # The tool reads its own copy of llvm.py, in which no folder is searched.
-        tree = tmp_path / "tree"
-        for name in ("tools/ensure_llvm.py", "mitsuba_plenoptic/runtime/llvm.py"):
-            (tree / name).parent.mkdir(parents=True)
-            shutil.copy(ROOT / name, tree / name)
-        with (tree / name).open("a") as source:
-            source.write(f"\n\ndef _folders():\n    yield Path({str(tmp_path)!r})\n")
-        command = [sys.executable, str(tree / "tools" / "ensure_llvm.py")]
-        return subprocess.run(command, capture_output=True, text=True, check=False, env={"PATH": str(programs)})
-
-    @pytest.mark.skipif(os.geteuid() != 0, reason="as another user the tool goes through sudo")
-    def test_installs_as_root_after_an_update(self, tmp_path):
-        install = f'[ "$1" = install ] && /usr/bin/touch {tmp_path}/libLLVM-22.so; exit 0'
-        names = {"apt-get": install, "apt-cache": "echo 'libllvm19 - x'; echo 'libllvm22 - x'"}
-        names["env"] = 'exec /usr/bin/env "$@"'
-        result = self.run(tmp_path, names)
-        assert result.returncode == 0, result.stderr
-        log = (tmp_path / "log").read_text().splitlines()
-        assert "apt-get update -q" in log and "apt-get install -y -q libllvm22" in log
-
-    def test_says_what_to_run_where_nothing_can_be_installed(self, tmp_path):
-        result = self.run(tmp_path, {"dnf": "exit 1"})
-        assert result.returncode == 1 and result.stderr.count("\n") == 1
-        assert result.stderr.endswith("run: sudo dnf install llvm-libs\n")

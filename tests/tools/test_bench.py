@@ -1,21 +1,14 @@
 """The harness of `tools/bench`: options, verdicts, results, and the tables of the pages."""
 
 import json
-import math
 import re
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-from cases import relative
 
-from mitsuba_plenoptic import PlenopticCamera, decode
-from mitsuba_plenoptic.views import lens_grid, shift_and_add, white_image
 from tools.bench import Pivot, at_least, at_most, case, registry, tables, timing
 from tools.bench.__main__ import PAGES, main, write_docs
-from tools.bench.cases import peers
-from tools.bench.cases.peers import published_decode, published_refocus
 
 ROOT = Path(__file__).parents[2]
 TEXTS = {page: page.read_text() for pattern in PAGES for page in sorted(ROOT.glob(pattern))}
@@ -146,26 +139,3 @@ def test_commands_and_marks_of_pages_exist(page):
         assert page == ROOT / found.page
         registry.options([found], words)
     assert len(tables.marked(TEXTS[page])) == TEXTS[page].count("<!-- bench:") == TEXTS[page].count("<!-- /bench")
-
-
-def test_our_microlenses_are_the_closed_form():
-    (row,) = (row for row in peers._microlenses(256, 2.048 / 256, 1) if row["peer"] == "ours")
-    assert row["difference"] < 1e-6
-    assert registry.find(["peers.microlenses"])[0].verdict({**row, "difference": 1e-4}).startswith("FAILED")
-
-
-def test_the_published_algorithm_decodes_and_refocuses_as_ours_does():
-    camera = PlenopticCamera(detector_width=1.024, resolution=(512, 512))
-    x = (np.arange(512) + 0.5) / 512
-    white, grid = white_image(camera), lens_grid(camera)
-    image = (white * (2 + np.sin(4 * math.pi * x) * np.cos(3 * math.pi * x[:, None]))).astype(np.float32)
-    lf = decode(image, camera=camera, white=white)
-    light, known, step = published_decode(image, white, grid, lf.sizes["u"] / 2)
-    middle = len(light) // 2
-    centre = (lf.sizes["v"] // 2, lf.sizes["u"] // 2)
-    assert relative(light[middle, middle] / known[middle, middle], lf.values[centre]) < 0.02
-    for shift in (0.0, 0.06, -0.06):
-        mine, published = shift_and_add(lf, shift).values, published_refocus(light, known, shift * step)
-        assert relative(published[2:-2, 2:-2], mine[2:-2, 2:-2]) < 0.02
-    # A shift of the wrong sign is seen.
-    assert relative(published_refocus(light, known, 0.06 * step)[2:-2, 2:-2], mine[2:-2, 2:-2]) > 0.02
