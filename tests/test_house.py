@@ -63,7 +63,7 @@ REACHED = {
     "names of the core that extensions import": 363,
     "modules of the core that extensions import": 29,
     "constants of modules": 905,
-    "lines of tests": 34_500,
+    "lines of tests": 30_000,
     "lines of tools": 10_100,
     "words of docs": 54_736,
     "modules that a ray capture loads": 97,

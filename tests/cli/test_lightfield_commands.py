@@ -4,8 +4,6 @@ import json
 import math
 import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import OpenEXR
@@ -145,18 +143,6 @@ def results(shot, tmp_path_factory):
         for name in ("distance", "bin_size", "method", "camera", "options"):
             assert getattr(back, name) == getattr(one, name)
     return paths
-
-
-def test_figures_follow_no_settings_of_matplotlib_python_or_a_display(results, tmp_path, run):
-    """With an inline backend, a matplotlibrc of somebody else, and with docstrings left out."""
-    path, settings = tmp_path / "sheet.png", tmp_path / "matplotlibrc"
-    settings.write_text("image.origin: lower\ntext.usetex: True\naxes.titleweight: bold\n")
-    words = ["sheet", *results[:2], "--dpi", 75, "-o"]
-    run(*words, tmp_path / "plain.png")
-    environment = {**os.environ, "MPLBACKEND": "module://nowhere.inline", "MATPLOTLIBRC": str(settings)}
-    command = [sys.executable, "-OO", "-m", "mitsuba_plenoptic", *map(str, words), str(path)]
-    subprocess.run(command, check=True, env=environment, capture_output=True)
-    assert path.read_bytes() == (tmp_path / "plain.png").read_bytes()
 
 
 def test_a_name_that_is_no_text_is_refused_first(shot, complaint):

@@ -13,8 +13,7 @@ from refusals import refuses
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import decode
 from mitsuba_plenoptic.report import plots
-from mitsuba_plenoptic.report.windows import lit_window
-from mitsuba_plenoptic.views import depth_map, epipolar_image, focal_stack, pick_views
+from mitsuba_plenoptic.views import depth_map, pick_views
 
 CAMERA = mp.PlenopticCamera(detector_width=0.512, resolution=(128, 128))
 
@@ -129,31 +128,6 @@ def test_views_lie_as_on_the_pupil_and_their_bar_below(lf):
     assert panels[6].patches[0].get_y() < 0
 
 
-def test_samples_beyond_the_pupil_are_hatched_and_of_many_views_some_are_labelled(lf):
-    found = [text for text in titles(plots.views_figure(lf.isel(u=[0] * 20, v=[0])))[:20] if text]
-    assert len(found) == 7 and found[0].startswith("u = ")
-    some = lf.isel(u=[0, 4], v=[0, 3])
-    panels = plots.views_figure(some).axes[:4]
-    dark = (some.weight.values == 0).any(axis=(2, 3)).ravel()
-    assert [hatched(axes) for axes in panels] == dark.tolist() and 0 < dark.sum() < dark.size
-
-
-def test_stacks_are_wrapped(lf):
-    figure = plots.stack_figure(focal_stack(lf, [210, 220, 230, 240, 250]))
-    assert titles(figure)[:5] == ["210 mm", "220 mm", "230 mm", "240 mm", "250 mm"]
-    tops = [round(axes.get_position().y1, 3) for axes in figure.axes[:5]]
-    assert tops[0] == tops[1] == tops[2] > tops[3] == tops[4]
-
-
-def test_epipolar_images_have_axes_at_their_edges(lf):
-    image = epipolar_image(lf)
-    panel = plots.epipolar_figure(image).axes[0]
-    step = float(image.s[0] - image.s[1])
-    assert panel.get_xlim() == pytest.approx((float(image.s[0]) + step / 2, float(image.s[-1]) - step / 2))
-    assert panel.get_ylim()[1] > panel.get_ylim()[0] and panel.get_ylim()[1] > float(image.u[0])
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("s (mm)", "u (mm)")
-
-
 def test_files(tmp_path, coarse_figures):
     """A PDF is as wide as a column, 3.4 inches of 72 points, has its text as text, and is the same each time."""
     figure = plots.contact_sheet([result()])
@@ -165,14 +139,6 @@ def test_files(tmp_path, coarse_figures):
     figure.save(tmp_path / "a.png", dpi=100)
     assert Image.open(tmp_path / "a.png").size[0] == 3.4 * 100
     refuses(r"give a name that ends in \.png or \.pdf", figure.save, tmp_path / "a.svg")
-
-
-def test_panels_of_a_wide_field_have_its_shape():
-    """A disc of a field of 100 x 86 bins is as wide as it is high where the window of its light is drawn."""
-    y, x = np.mgrid[-43:43, -50:50] + 0.5
-    window = lit_window([(np.hypot(x, y) < 20).astype(float)])
-    rows, columns = window.of(np.zeros((86, 100))).shape
-    assert window.aspect == pytest.approx(rows / columns, rel=0.05)
 
 
 def test_panels_are_of_one_size_and_no_text_is_cut():

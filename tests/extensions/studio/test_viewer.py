@@ -180,23 +180,6 @@ def likeness(image, white, drawn):
     return 20 * np.log10(255 / np.sqrt(np.mean((expected - shown) ** 2) + 1e-9))
 
 
-def test_colours_of_a_crop_in_16_bits_in_a_browser(tmp_path, browser):
-    recorded = capture(CAMERA.replace(crop_offset=(40, 24), crop_size=(180, 200)), colour=True)
-    image = recorded.image.copy()
-    image[100:108, 60:68] = 300
-    recorded = dataclasses.replace(recorded, image=image)
-    made = mp.view(recorded)
-    data = content(made)
-    assert data["recordings"][0]["views"]["bits"] == 16
-    made.save(tmp_path / "view.html")
-    page, find, drawn = opened(browser, tmp_path / "view.html")
-    find("input[value=refocus]").click()
-    step = int(find("#focus").get_attribute("value"))
-    refocused = shift_and_add(mp.decode(recorded), data["recordings"][0]["disparities"][step])
-    assert likeness(refocused, data["white"], drawn()) >= 40
-    assert page.get_log("browser") == []
-
-
 def test_a_stack_and_a_depth_map_in_a_browser(tmp_path, browser):
     results = mp.reconstruct(capture(), [240.0, 260.0])
     holed = dataclasses.replace(results[1], image=np.where(np.eye(16), np.nan, results[1].image))
