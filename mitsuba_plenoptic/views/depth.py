@@ -267,8 +267,8 @@ def _aberrated(lf: xr.DataArray, radius: float) -> float:
     pupil = views[..., None] + np.array(list(itertools.product(*([-side, side] for side in spread)))).T[:, None]
     lens = OpticalSystem.by_design(camera).lens
     distance = camera.focus_distance if 0 < camera.focus_distance < math.inf else LONGEST
-    (point,) = lens.points(np.array([[radius, 0.0]]), np.array([1 / distance]))
-    landed = np.stack(np.broadcast_arrays(*lens.land(tuple(pupil), tuple(point)))).mean(-1)
+    points = lens.points(np.array([[radius, 0.0]]), np.array([1 / distance]))
+    landed = np.stack(np.broadcast_arrays(*lens.bind(points).land(tuple(pupil), tuple(points[0])))).mean(-1)
     return float((landed * views).sum() / np.square(views).sum()) - camera.defocus(distance)
 
 
