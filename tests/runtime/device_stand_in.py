@@ -209,6 +209,7 @@ class StandIn:
             array=self._array,
             asnumpy=self._asnumpy,
             from_dlpack=lambda array: DeviceArray(_dr_numpy(array)),
+            lib=SimpleNamespace(stride_tricks=SimpleNamespace(as_strided=_function(np.lib.stride_tricks.as_strided))),
             get_default_memory_pool=lambda: SimpleNamespace(free_all_blocks=self._release),
             get_default_pinned_memory_pool=lambda: SimpleNamespace(free_all_blocks=lambda: None),
             cuda=SimpleNamespace(

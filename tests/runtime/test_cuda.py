@@ -162,7 +162,7 @@ HANDED = {
     # The bins, and the image of each step.
     "deconvolved": 27_000,
     "incoherent": 10_000,
-    "planes by rays, deconvolved": 25_000,
+    "planes by rays, deconvolved": 33_000,
     "derivatives of deconvolution": 27_000,
     "Fourier microscope, incoherent": 87_000,
     "Fourier microscope, deconvolved": 134_000,

@@ -96,7 +96,7 @@ def test_docs_write_full_results_with_the_options_of_the_mark(probe, tmp_path, c
 
 
 def test_ratios_are_taken_run_by_run(monkeypatch):
-    """On a machine that grows slower by half from run to run, of which the first does not count."""
+    # A machine grows slower by half from run to run, of which the first does not count.
     clock, order = [0.0], []
     watch = SimpleNamespace(perf_counter=lambda: clock[0], process_time=lambda: clock[0] / 4)
     monkeypatch.setattr(timing, "time", watch)
@@ -112,8 +112,7 @@ def test_ratios_are_taken_run_by_run(monkeypatch):
     assert found["b"].seconds == pytest.approx(1.5**3) and found["b"].processor == pytest.approx(1.5**3 / 4)
 
 
-def test_cases_name_a_page_that_names_them():
-    """Every case that states a page can be run by a command that the page shows, by its own name or its group's."""
+def test_cases_name_a_page_that_names_them_or_their_group_in_a_command():
     for each in registry.load().values():
         if each.page:
             named = set(re.findall(r"[\w.-]+", " ".join(commands(TEXTS[ROOT / each.page]))))
