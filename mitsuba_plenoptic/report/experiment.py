@@ -278,7 +278,7 @@ class Experiment:
 
         def of_capture(capture: Capture) -> Capture:
             wavelength = None if capture.wavelength is None else self.settings.wavelength
-            return replace(_changed(capture, luminance), wavelength=wavelength)
+            return _changed(capture, luminance, wavelength=wavelength)
 
         if self.ray.image.ndim == 2:
             return self
@@ -534,10 +534,10 @@ def refocused(
     return images
 
 
-def _changed(capture: Capture, change: Callable[[Array], Array]) -> Capture:
-    """Return a capture whose image and noise are changed."""
+def _changed(capture: Capture, change: Callable[[Array], Array], **facts: Any) -> Capture:
+    """Return a capture whose image and noise, and some facts, are changed."""
     noise = None if capture.noise is None else change(capture.noise)
-    return replace(capture, image=change(capture.image), noise=noise)
+    return replace(capture, image=change(capture.image), noise=noise, **facts)
 
 
 def bounding_boxes(scene: Any) -> dict[str, tuple[Array, Array]]:
