@@ -113,7 +113,7 @@ _NO_DERIVATIVE = refused(
 )
 _MORE_TERMS = approximate(
     _GEOMETRY,
-    "rays go back through an ideal main lens and the centres of microlenses; depths know what aberrations move",
+    "rays go back through an ideal main lens and the centres of microlenses; depth maps correct for aberrations",
 )
 _ALONE_BY_RAYS = refused(
     _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"

@@ -224,7 +224,7 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
 
     A lens at the height h sees the pupil point P of a place h P / b beside that of an upright array. Pixels that prefer
     some directions see the pupil point P through a point beside the middle of their lens, by `_preferred` of P.
-    Aberrations move the light from P by `_aberrated` of P.
+    Aberrations move light from the pupil point P by `_aberrated` of P.
     """
     camera = camera_of(lf)
     x, y = np.meshgrid(*(lf[axis].values * array_scale(camera) for axis in "st"))
@@ -237,7 +237,8 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
     if not is_focused(lf) and (camera.pixel_response or camera.mla_absorption):
         aside = np.interp(radius, radii, [_preferred(camera, distance) for distance in radii])
         slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
-    slope -= np.interp(radius, radii, [_aberrated(lf, distance) for distance in radii])
+    if camera.lens_model != "ideal" or camera.wavefront or camera.phase_screen is not None:
+        slope -= np.interp(radius, radii, _aberrated(lf, radii))
     return -(slope - height / (camera.pupil_distance - height)) * size
 
 
@@ -255,21 +256,25 @@ def _preferred(camera: PlenopticCamera, radius: float) -> float:
     return float((aside * pupil).sum() / np.square(pupil).sum())
 
 
-def _aberrated(lf: xr.DataArray, radius: float) -> float:
-    """Return by how much aberrations move light at a distance from the axis, over the pupil's coordinates.
+def _aberrated(lf: xr.DataArray, radii: Array) -> Array:
+    """Return by how much aberrations move light at distances from the axis, over the pupil's coordinates.
 
-    The ratio is fitted to the views' mean light from the plane in focus, or from infinity.
+    The ratios are fitted to the mean light of the views that are compared, from the plane in focus or from infinity.
     """
     camera = camera_of(lf)
     seen = np.median(lf["weight"].values, axis=(2, 3)) >= 0.9
     views = np.stack(np.meshgrid(lf.u.values, lf.v.values))[:, seen]
+    if not views.any():
+        # Of one view at most: none of its neighbours moves.
+        return np.zeros_like(radii)
     spread = [math.sqrt(spread_of_samples(lf, axis)) * camera.pupil_step for axis in (0, 1)]
     pupil = views[..., None] + np.array(list(itertools.product(*([-side, side] for side in spread)))).T[:, None]
     lens = OpticalSystem.by_design(camera).lens
     distance = camera.focus_distance if 0 < camera.focus_distance < math.inf else LONGEST
-    points = lens.points(np.array([[radius, 0.0]]), np.array([1 / distance]))
-    landed = np.stack(np.broadcast_arrays(*lens.bind(points).land(tuple(pupil), tuple(points[0])))).mean(-1)
-    return float((landed * views).sum() / np.square(views).sum()) - camera.defocus(distance)
+    points = lens.points(np.column_stack([radii, 0 * radii]), np.full(len(radii), 1 / distance))
+    landed = [np.broadcast_arrays(*lens.bind(points).land(tuple(pupil), tuple(point))) for point in points]
+    moved = np.mean(landed, axis=-1) * views
+    return np.asarray(moved.sum((1, 2)) / np.square(views).sum() - camera.defocus(distance))
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
