@@ -249,30 +249,34 @@ class ArrayKernels(LensWaves):
         lag = self.lattice.pitches[0] / USUAL.pitch_lags * stride
         transfer = self._transfer(farthest, lag, 2 * USUAL.pitch_lags, self.kinds[kind], functions, functions.duals)
         kernels = self._placed(transfer, stride, step, count, kind)
-        if not oblique.count:
-            return kernels
-        parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
-        # Coarse pixels resolve few lags.
-        coarser = USUAL.oblique_coarser if oblique.degree == 2 and farthest >= USUAL.coarse_lags else 1
-        transfer = np.sum(
-            [
-                self._transfer(
-                    farthest // coarser,
-                    lag * coarser,
-                    self._samples_of(USUAL.coarse_samples),
-                    self.kinds[kind],
-                    functions,
-                    functions.duals @ combination.T,
-                    (a, b),
-                )
-                for combination, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
-            ],
-            axis=0,
-        )
-        # Their period is shorter, but not the border of their windows.
-        small = self._placed(transfer, stride * coarser, step, min(count, count // coarser + USUAL.border // 2), kind)
-        aside = (kernels.shape[1] - small.shape[1]) // 2
-        return np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
+        if oblique.count:
+            parts = np.einsum("rnk,kd->drn", oblique.kernels, changes(oblique.degree))
+            # Coarse pixels resolve few lags.
+            coarser = USUAL.oblique_coarser if oblique.degree == 2 and farthest >= USUAL.coarse_lags else 1
+            transfer = np.sum(
+                [
+                    self._transfer(
+                        farthest // coarser,
+                        lag * coarser,
+                        self._samples_of(USUAL.coarse_samples),
+                        self.kinds[kind],
+                        functions,
+                        functions.duals @ combination.T,
+                        (a, b),
+                    )
+                    for combination, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
+                ],
+                axis=0,
+            )
+            # Their period is shorter, but not the border of their windows.
+            small = self._placed(
+                transfer, stride * coarser, step, min(count, count // coarser + USUAL.border // 2), kind
+            )
+            aside = (kernels.shape[1] - small.shape[1]) // 2
+            kernels = np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
+        # Coarse grids sample so few lags that light would be lost or gained.
+        missing = np.eye(len(kernels))[0] - kernels.sum((1, 2))
+        return np.asarray(kernels + missing[:, None, None] * (kernels[0] / kernels[0].sum()))
 
     def _placed(self, transfer: NDArray[np.complex64], stride: int, step: float, count: int, kind: int) -> Doubles:
         """Return kernels of `count` samples on either side, from transfer functions `stride` steps apart."""

@@ -200,9 +200,9 @@ def test_a_layer_of_the_pupil_is_an_entry_a_row_and_a_factor(tmp_path):
     page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()
     entry = re.search(r"```py\n(    second_stop.*?)```", page, re.DOTALL)[1]
     row = re.search(r"```py\n(    \"second_stop.*?)```", page, re.DOTALL)[1]
-    _, *factors = re.findall(r"```diff\n-(.*\n)\+(.*\n)```", page)
+    _, *factors = re.findall(r"```diff\n-(.*\n)((?:\+.*\n)+)```", page)
     after = '    "mla_distance": (),\n'
     changes = [("camera/parameters.py", _END, f"{entry}{_END}"), ("camera/support.py", after, f"{row}{after}")]
-    changes += [("camera/geometry.py", old, new) for old, new in factors[:2]]
+    changes += [("camera/geometry.py", old, re.sub(r"(?m)^\+", "", new)) for old, new in factors]
     by_rays, by_waves = run_changed(tmp_path, changes, STOP)
     assert abs(by_rays - 0.48) < 0.003 and abs(by_waves - 0.48) < 0.003

@@ -105,7 +105,7 @@ test_refused = refused(
     # Coherent fields
     (lambda: field([1.0]), r"amplitudes of shape \(1,\)"),
     (lambda: field(np.full(12, np.nan)), "amplitudes: "),
-    (lambda: field(plane="mla"), "plane = 'mla'"),
+    pytest.param(lambda: field(plane="mla"), "plane = 'mla'", marks=pytest.mark.needs_extension("laser")),
     (lambda: field(wavelength=None, spectrum=mp.Spectrum([500, 600], [[1, 1]])), "spectrum of 2 wavelengths"),
     (lambda: field(wavelength=None, spectrum=mp.Spectrum([500], [[0.5]])), "response"),
     (lambda: field(method="patch", pupil_weights=np.ones((12, 4, 4))), "pupil_weights: "),

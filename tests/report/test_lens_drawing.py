@@ -20,6 +20,8 @@ from mitsuba_plenoptic.report.lens_drawing import main_lens_figure
 from mitsuba_plenoptic.report.lens_quality import behind_lens, chief, field_figures, ray_paths
 from mitsuba_plenoptic.report.microlens_drawing import microlens_figure
 
+pytest.importorskip("mitsuba_plenoptic.extensions.lensdesign")
+
 LINE_C, LINE_F = 656.2725, 486.1327
 """Fraunhofer's lines, in nanometres."""
 

@@ -7,6 +7,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+
+pytest.importorskip("mitsuba_plenoptic.extensions.inverse")
+
 from camera_works import WORKS as CAMERA_WORKS
 from camera_works import spread
 from cameras import capture

@@ -1,6 +1,7 @@
 """Threads, processes, variants and imports: what may run at once, and that the same seed gives the same bits."""
 
 import gc
+import signal
 import sys
 import textwrap
 import threading
@@ -58,12 +59,15 @@ def test_ctrl_c_within_a_collection_of_garbage_comes_after_it(monkeypatch):
     monkeypatch.setattr(sys, "unraisablehook", print)
     garbage.watch_collections()
     gc.callbacks.pop()
+    # Programs that a shell starts in the background ignore interrupts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     # Last, as Python may collect by itself.
     monkeypatch.setattr(garbage, "dr", mock.Mock(flag=flags))
     gc.collect()
     with pytest.raises(KeyboardInterrupt):
         for _ in range(100):
             time.sleep(0.05)
+    signal.signal(signal.SIGINT, before)
 
 
 def test_scenes_of_another_variant_and_variants_that_cannot_work_are_refused():

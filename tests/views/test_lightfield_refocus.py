@@ -111,6 +111,7 @@ class TestShiftAndAdd:
 
 
 class TestDepth:
+    @pytest.mark.needs_extension("raw")
     @pytest.mark.filterwarnings("ignore:white")
     def test_behind_a_falling_white_of_lftoolbox(self, tmp_path, slope=0.6):
         camera = of_square_lenses(10, 20)

@@ -106,7 +106,7 @@ def test_openings_of_a_few_wavelengths_are_refused():
     with pytest.raises(InputError, match=r"mla_fill = 0.05: .* 0.0989"):
         PhaseSpace(PlenopticCamera(mla_fill=0.05), 633.0)
     narrow = PhaseSpace(PlenopticCamera(mla_fill=0.1), 633.0, degree=0)
-    assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1, abs=0.05)
+    assert narrow.kernels(0.008, 0.128)[0].sum() == pytest.approx(1)
 
 
 @pytest.mark.slow
@@ -133,15 +133,14 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     assert all(each() is not None for each in made[20:])
 
 
-@pytest.mark.parametrize(
-    ("pitch", "pixels", "tolerance"), [pytest.param(0.5, 16, 0.01, marks=pytest.mark.slow), (0.4, 4, 0.02)]
-)
-def test_kernels_of_large_lenses_keep_the_light(pitch, pixels, tolerance):
-    """Far wider than their diffraction: samples of lenses repeat within the kernels' reach."""
+@pytest.mark.parametrize(("pitch", "pixels"), [pytest.param(0.5, 16, marks=pytest.mark.slow), (0.4, 4), (0.4, 9)])
+def test_kernels_of_large_lenses_keep_the_light(pitch, pixels):
+    """Far wider than their diffraction: samples of lenses repeat within the kernels' reach, and pixels are coarse."""
     camera = PlenopticCamera(
         focal_length=50, aperture_radius=5, focus_distance=1000, mla_pitch=pitch, mla_focal_length=5.2 * pitch,
         detector_width=8 * pitch, resolution=(8 * pixels,) * 2,
     )  # fmt: skip
     plan = PhaseSpace(camera, 633.0)
     assert plan.lands_by_point == (pitch == 0.5)
-    assert plan.kernels(camera.pixel_size / plan.parts(False), 2 * pitch)[0].sum() == pytest.approx(1, abs=tolerance)
+    light = plan.kernels(camera.pixel_size / plan.parts(False), 2 * pitch).sum((1, 2))
+    np.testing.assert_allclose(light, np.eye(len(light))[0], atol=5e-5)

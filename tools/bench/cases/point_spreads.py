@@ -10,8 +10,6 @@ import numpy as np
 from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, point_spread_function
-from mitsuba_plenoptic import particles as pt
-from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.points.full_fields import full_field
 
@@ -126,6 +124,9 @@ def blurred(camera: PlenopticCamera, places: np.ndarray, lenses: float) -> np.nd
 )  # fmt: skip
 def particles(*, count: int = 10000) -> Iterator[Row]:
     """Particles in the paper's field of view."""
+    from mitsuba_plenoptic import particles as pt
+    from mitsuba_plenoptic.extensions.particles.particle_images import scattered_light
+
     camera = PAPER.replace(resolution=(2048, 2048))
     box = pt.ParticleVolume((-7, -7, 217.7), (7, 7, 267.4))
     truth = pt.particle_sequence(camera, box, pt.Seeding(count=count), pt.Uniform((0, 0, 0)), interval=1, frames=1)
