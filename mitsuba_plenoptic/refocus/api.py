@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import math
@@ -12,7 +13,7 @@ import numpy as np
 
 from .. import design
 from ..camera import PlenopticCamera, require_support
-from ..errors import LONGEST, require_count, suggest_keywords, warn
+from ..errors import LONGEST, InputError, require_count, suggest_keywords, warn
 from ..io import CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
@@ -221,11 +222,18 @@ def reconstruct(
     recorded_at = None
     if capture.model == "wave" and capture.wavelength is not None:
         recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
-    by_itself = reference is None and not chosen.as_it_is
+    # Responses by waves are corrected by the white image of a capture by waves; those by rays have that of rays.
+    is_corrected = waves and capture.model == "wave" and camera.lens_data.converges
+    by_itself = reference is None and (is_corrected or not chosen.as_it_is)
     # A white by waves takes longer than the refocusing.
-    works = [4, 1] if by_itself and capture.model == "wave" else [0, 1]
+    works = [0, 1]
+    if by_itself and capture.model == "wave":
+        works = [1, 6] if chosen.as_it_is else [4, 1]
     with memory_asked() as sizes:
-        computed = computed_white(unstraightened, portion(report, 0, works)) if by_itself else None
+        computed = None
+        # Responses serve without a white image where captures of points alone have waves.
+        with contextlib.suppress(*[InputError] if as_recorded else []):
+            computed = computed_white(unstraightened, as_recorded, portion(report, 0, works)) if by_itself else None
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,

@@ -61,7 +61,7 @@ def as_reference(
         return np.ascontiguousarray(np.broadcast_to(pixels, image.shape))
     pixels = straightened_image(pixels, tilted)
     by_model = replace(white if isinstance(white, Capture) else capture, camera=tilted)
-    expected = computed_white(by_model, lambda done: None).mean(-1)
+    expected = computed_white(by_model, False, lambda done: None).mean(-1)
     scaled = recorded_white(pixels, pixels.shape, [capture.camera], expected)
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
@@ -236,11 +236,12 @@ def over_lenses(power: Array, camera: PlenopticCamera, oversample: int, fine: in
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
 
 
-def computed_white(capture: Capture, progress: Progress) -> Array:
-    """Return the computed white image of a capture's model, straightened like the capture, with as many channels."""
+def computed_white(capture: Capture, as_recorded: bool, progress: Progress) -> Array:
+    """Return the computed white image of a capture's model, straightened or as recorded, with as many channels."""
     channels = np.atleast_3d(capture.image).shape[2]
-    white = capture_white(capture, channels, lambda done, total: progress(done / total))
-    white = straightened_image(white, capture.camera)
+    white = capture_white(capture, channels, lambda done, total: progress(done / total), as_recorded)
+    if not as_recorded:
+        white = straightened_image(white, capture.camera)
     return np.ascontiguousarray(np.broadcast_to(white, (*white.shape[:2], channels)))
 
 

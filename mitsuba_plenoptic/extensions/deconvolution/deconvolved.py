@@ -152,12 +152,14 @@ class _Flat(LinearMap):
         return self._response.adjoint(image * self.flat)
 
 
-def flat_field(response: LinearMap, white: Floats) -> Floats:
-    """Return what pixels record over a response's light, by their recorded white; 0 where the two are far apart."""
-    computed = response.forward(np.ones(response.source_shape, np.float32))
+def flat_field(response: Response | FourierResponse, white: Floats, is_recorded: bool = True) -> Floats:
+    """Return what pixels record over a response's light, by their white; 0 where a recorded one is far from that."""
+    computed = response.forward(np.full(response.source_shape, 1 / len(response.shapes), np.float32))
     # A recorded white says nothing of darker pixels.
     lit = computed > 0.03 * computed.max()
     ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
+    if not is_recorded:
+        return ratio.clip(0, 2).astype(np.float32)
     ratio /= np.median(ratio[lit & (white > 0)])
     # Pixels behind dust are left out. Micro-images of lenses of another brightness are no dust.
     return np.where(lit, np.where(abs(ratio - 1) < 0.15, ratio, 0), 1).astype(np.float32)
@@ -187,8 +189,9 @@ def _solve(
             task.checkpoint.save_arrays(lambda: {"solved": facts, **images, **state.arrays()})
 
     operator: LinearMap = response
-    if task.white is not None:
-        operator = _Flat(response, flat_field(response, task.white[..., channel]))
+    white = task.computed if task.white is None else task.white
+    if white is not None:
+        operator = _Flat(response, flat_field(response, white[..., channel], task.white is not None))
         image = np.where(operator.flat > 0, image, 0)
     steps = RichardsonLucy(
         operator,

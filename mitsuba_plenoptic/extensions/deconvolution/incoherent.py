@@ -54,13 +54,15 @@ def refocus(task: Task) -> list[np.ndarray]:
                 job=Job(progress=lambda done, total, progress=progress: progress(done / total)),  # type: ignore[misc]
                 steps=len(channels) * (len(images_of_plane) + 1) / 2,
             ) as response:
-                by_waves = task.recorded is not None or not camera.lens_data.converges
-                ones = np.ones(response.source_shape, np.float32)
-                white = (
-                    DetectorOperator.of(camera).forward(response.forward(ones)) if by_waves else white_pixels(camera)
-                )
+                whites = [white_pixels(camera)]
+                if task.computed is not None:
+                    # It is one of the captures.
+                    whites = []
+                elif not camera.lens_data.converges:
+                    ones = np.ones(response.source_shape, np.float32)
+                    whites = [DetectorOperator.of(camera).forward(response.forward(ones))]
                 for channel in channels:
-                    pixels = [*(image[..., channel] for image in images_of_plane), white]
+                    pixels = [*(image[..., channel] for image in images_of_plane), *whites]
                     weighed = (
                         response.adjoint(np.ascontiguousarray(channel_image, np.float32)) for channel_image in pixels
                     )

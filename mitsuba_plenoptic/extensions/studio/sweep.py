@@ -173,7 +173,7 @@ class Points:
                     lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
             pixels = float(math.prod(sizes[key][:2]))
             # The first image waits for the white one.
-            white = 0.5 * (by_waves and not method.as_it_is)
+            white = 0.5 * by_waves
             self._work += [pixels, *[(of_image + white * (not index)) * pixels for index in range(len(self.distances))]]
         self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 

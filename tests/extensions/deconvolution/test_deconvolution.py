@@ -118,7 +118,9 @@ def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, 
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
         image = mp.reconstruct(capture, distance, method=method, oversample=oversample).image
-        np.testing.assert_allclose(image, 1, atol=0.005)
+        np.testing.assert_allclose(image[1:-1, 1:-1], 1, atol=0.005)
+        # White of signed rays, by which responses are corrected, is less even where a bin has few pixels.
+        np.testing.assert_allclose(image, 1, atol=0.01)
 
 
 SIZE = {"detector_width": 2.24, "resolution": (448, 448), "crop_size": (64, 64)}
@@ -261,7 +263,7 @@ def test_channels_have_their_own_wavelengths():
     together = mp.reconstruct(mp.Capture(image, FAST, lights, "wave"), 125, method="incoherent").image
     for channel in (0, 2):
         alone = mp.Capture(image[..., channel], FAST, lights[channel], "wave")
-        assert np.array_equal(together[..., channel], mp.reconstruct(alone, 125, method="incoherent").image)
+        np.testing.assert_allclose(together[..., channel], mp.reconstruct(alone, 125, method="incoherent").image, 1e-3)
 
 
 def test_lenses_may_differ_as_far_as_light_stays_within_pixels():
