@@ -137,6 +137,7 @@ MISSING = f"""
 """
 
 
+@pytest.mark.slow
 def test_without_extensions_a_missing_one_is_named_in_one_line(copy):
     made = copy(["extensions"], ALONE + MISSING)
     assert made.returncode == 0, made.stderr

@@ -50,6 +50,7 @@ def test_public_names_are_found_when_they_are_asked_for():
     assert mitsuba_plenoptic.decode is mitsuba_plenoptic.views.decode
 
 
+@pytest.mark.slow
 @pytest.mark.needs_extension("inverse", "laser", "raw")
 def test_modules_are_imported_without_a_warning_and_without_their_library_are_no_attributes(python):
     made = python("""

@@ -65,7 +65,6 @@ def note(number):
             file.write(test + "\\n")
 """
 
-
 Mistake = tuple[ast.stmt, ast.expr, ast.expr]
 """A statement, an expression of it, and the one in its place."""
 

@@ -163,6 +163,7 @@ def run_changed(tmp_path, changes, trial):
     return [float(number) for number in done.stdout.split()]
 
 
+@pytest.mark.slow
 def test_a_parameter_is_one_entry_and_a_formula(tmp_path):
     """As the developer page says: a copy of the package with the page's entry and the page's line."""
     page = (ROOT / "docs" / "reference" / "develop" / "extending.md").read_text()

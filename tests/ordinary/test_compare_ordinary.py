@@ -41,6 +41,7 @@ def found(folder):
     return json.loads((folder / "results.json").read_text())["ordinary"]
 
 
+@pytest.mark.slow
 def test_the_page_shows_both_cameras(folder, found):
     page = (folder / "report.html").read_text()
     assert "Against an ordinary camera" in page and "--against ordinary" in page
@@ -51,6 +52,7 @@ def test_the_page_shows_both_cameras(folder, found):
         assert f"{row['mtf50_per_mm']:.3g}" in page and f"{row['mtf10_per_mm']:.3g}" in page
 
 
+@pytest.mark.slow
 def test_the_ordinary_camera_is_that_of_the_scene_without_the_array(folder, found):
     camera = mp.read_capture(folder / "data" / "capture_wave.exr").camera
     twin = camera.replace(mla_lattice="none").replace(focus_distance=DISTANCE)
@@ -60,6 +62,7 @@ def test_the_ordinary_camera_is_that_of_the_scene_without_the_array(folder, foun
     np.testing.assert_array_equal(capture.image, mp.render_capture(scene, model="wave", wavelength=633.0, spp=4).image)
 
 
+@pytest.mark.slow
 def test_it_is_as_sharp_as_its_pupil_and_pixels_allow(found):
     camera, ordinary = mp.PlenopticCamera.from_dict(found["camera"]), found["pictures"][0]
     # In the plane in focus: the cut-off of the pupil, and pixels turned by 5 degrees.

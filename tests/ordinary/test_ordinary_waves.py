@@ -74,23 +74,6 @@ def textured(camera):
 SMALL = {"mla_lattice": "none", "resolution": (24, 16), "detector_width": 24 * 0.008}
 F10 = SMALL | {"focal_length": 80, "aperture_radius": 4, "focus_distance": 240}
 
-GAUSS = {"main_lens": "double_gauss", "focal_length": 50, "aperture_radius": 6, "focus_distance": 2000}
-
-
-@pytest.mark.parametrize(
-    ("variant", "changes"),
-    [
-        ("llvm_ad_rgb", {"crop_offset": (8, 4), "crop_size": (12, 8), "lens_model": "parabolic"}),
-        # Wider than the field that the lens lights.
-        pytest.param("llvm_ad_mono", GAUSS | {"detector_width": 36}, marks=pytest.mark.slow),
-    ],
-)
-def test_waves_keep_the_light_of_rays(variant, changes):
-    mi.set_variant(variant)
-    scene = textured(mp.PlenopticCamera(**F10 | changes))
-    rays = mp.render_capture(scene, model="ray", spp=512).image.mean((0, 1))
-    assert mp.render_capture(scene, model="wave", spp=256).image.mean((0, 1)) == pytest.approx(rays, rel=0.015)
-
 
 def test_noise_is_no_larger_than_that_of_rays():
     """Neighbours share rays, where diffraction blurs."""
@@ -102,6 +85,7 @@ def test_noise_is_no_larger_than_that_of_rays():
     assert spread["wave"] < 1.2 * spread["ray"]
 
 
+@pytest.mark.slow
 def test_few_samples_have_the_mean_of_many(kind="textured wall", airy=2.0, seen=0.05):
     """Means over captures of two samples each, whose noise would show a difference of `seen`."""
     scene, taken = noisy_scene(kind, airy, 16), {}

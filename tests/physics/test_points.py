@@ -26,10 +26,9 @@ SLOPES = {
     # Differences of full fields round the edges of hexagonal lenses: 0.03, and 0.006 for circles and squares.
     "mla_fill": 0.035,
 }
-FAST = [("turned", "mla_pitch")]
-SLOW = [
+PAIRS = [
     ("square", "aperture_radius"), ("cropped", "detector_width"), ("square", "focal_length"), ("square", "wavefront"),
-    ("gaps", "detector_distance"), ("medium", "mla_distance"),
+    ("gaps", "detector_distance"), ("medium", "mla_distance"), ("turned", "mla_pitch"),
     ("circles", "mla_fill"), ("stretched", "mla_rotation"), ("three focal lengths", "mla_focal_length"),
     ("three focal lengths", "mla_offset"), ("medium", "detector_distance"), ("real", "focal_length"),
     ("real", "aperture_radius"),
@@ -45,7 +44,8 @@ def small(name):
     return camera.replace(detector_width=camera.detector_width / 2, resolution=halved)
 
 
-@pytest.mark.parametrize(("camera", "name"), [*FAST, *(pytest.param(*pair, marks=pytest.mark.slow) for pair in SLOW)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("camera", "name"), PAIRS)
 def test_points(camera, name):
     """Differences of the operator's own images miss by up to 14 %, as its grids of samples follow the camera.
 

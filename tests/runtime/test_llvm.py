@@ -69,7 +69,8 @@ def test_fresh_process_loads_a_usable_llvm(python):
     assert (result.stdout, result.stderr) == ("True [1.5, 2]\n", "")
 
 
-@pytest.mark.parametrize("old", [pytest.param(item.path, marks=pytest.mark.slow) for item in OLD[:1]] + [None])
+@pytest.mark.slow
+@pytest.mark.parametrize("old", [item.path for item in OLD[:1]] + [None])
 def test_unusable_llvm_raises_when_used_and_not_on_import(old, python, tmp_path):
     library = old or tmp_path / "libLLVM.so"
     if not old:

@@ -59,9 +59,8 @@ def test_ctrl_c_within_a_collection_of_garbage_comes_after_it(monkeypatch):
     monkeypatch.setattr(sys, "unraisablehook", print)
     garbage.watch_collections()
     gc.callbacks.pop()
-    # Programs that a shell starts in the background ignore interrupts.
+    # Programs in the background of a shell ignore interrupts. The last change is dr, as Python may collect by itself.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Last, as Python may collect by itself.
     monkeypatch.setattr(garbage, "dr", mock.Mock(flag=flags))
     gc.collect()
     with pytest.raises(KeyboardInterrupt):
@@ -89,6 +88,7 @@ def test_the_package_is_imported_after_a_variant_is_chosen(python):
     assert result.stdout.endswith("8.0 llvm_ad_mono\n"), result.stderr
 
 
+@pytest.mark.slow
 def test_a_spawned_process_works_and_a_forked_one_says_why_it_cannot(python, tmp_path):
     """Threads do not survive a fork: without the check the child waits for ever."""
     script = """

@@ -119,6 +119,7 @@ def test_rays_lose_light_along_their_paths():
     assert np.allclose(dimmed[passes], clear[passes] * np.exp(-15 * path[passes]), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_white_by_waves_is_dimmed_by_the_mean_over_paths():
     """By ideal lenses all paths from the points of a lens to the micro-image of the pupil are equally frequent."""
     m = (np.arange(60) + 0.5) / 60 * 0.04 - 0.02

@@ -42,7 +42,7 @@ def numbers_of(image, detector, seed, part=0.8):
     return np.rint(electrons * detector.gain + detector.black_level)
 
 
-@pytest.mark.parametrize("bits", [12, 8])
+@pytest.mark.parametrize("bits", [12, pytest.param(8, marks=pytest.mark.slow)])
 def test_single_pictures_give_gain_and_noise(white, bits):
     """Within 2 %, though the micro-images vary a hundred times as much as the noise."""
     detector = DETECTORS[f"{bits} bits"]

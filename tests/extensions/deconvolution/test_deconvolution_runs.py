@@ -126,9 +126,6 @@ def test_channels_of_one_light_share_a_response(monkeypatch):
     options = {"method": "deconvolved", "iterations": 1}
     mp.reconstruct(capture, [253.0, 235.0], **options)
     assert made == [([253.0], 633.0), ([235.0], 633.0), ([253.0], 500.0), ([235.0], 500.0)]
-    made.clear()
-    mp.reconstruct(capture, [253.0, 235.0], response="ray", **options)
-    assert made == [([253.0], None), ([235.0], None)]
 
 
 def test_kernels_on_disk_are_those_in_memory(monkeypatch):

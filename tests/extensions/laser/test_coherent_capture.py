@@ -38,6 +38,7 @@ def rough_wall(camera, per_spot, seed=0):
     return np.column_stack([place, np.full(len(place), DISTANCE)])
 
 
+@pytest.mark.slow
 def test_speckle_is_fully_developed():
     """Contrast falls with the root of the modes, and intensity is exponential."""
     camera = OPEN.replace(detector_width=0.8, resolution=(250, 250))
