@@ -36,7 +36,6 @@ def of_method(method):
         """A bin that shines is found where it is; by deconvolution with its light, which the response explains."""
         camera, g = draw.camera, draw.point()[2]
         row, column = (int(draw.rng.integers(count // 2 - 1, count // 2 + 1)) for count in camera.bin_count[::-1])
-        # Unequal lenses record what is diffracted across a bin's borders unlike.
         fine = (8 if "mla_transmissions" in draw.options else 3) if method == "deconvolved" else 1
         recorded = filled_bin(camera, row, column, g, draw.wavelength, fine)
         image, facts = refocused(camera, recorded, g, method, draw.wavelength, 60)

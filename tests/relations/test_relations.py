@@ -29,8 +29,9 @@ def test_an_option_makes_a_camera_whose_unit_may_change(name):
 
 SEEDS = {
     "derivative": 23, "mirror_deconvolved": 12, "channels_deconvolved": 14, "channels_incoherent": 19, "reverse": 2,
-    "units_incoherent": 1, "white_of_scenes": 4, "detector_by_waves": 1, "product_rule": 6,
-    "function_deconvolved": 6, "white_capture": 77, "refusals": 2, "depth_of_walls": 54,
+    "units_incoherent": 1, "white_of_scenes": 4, "detector_by_waves": 1, "product_rule": 6, "wide_array": 208,
+    "units_of_scenes_by_waves": 203, "channels_of_scenes_by_waves": 213, "refusals": 2, "depth_of_walls": 54,
+    "lamp_deconvolved": 202, "planes_deconvolved": 204, "function_deconvolved": 6, "white_capture": 201,
 }  # fmt: skip
 """Draws of three options or four that cost little; hunts draw the dear ones."""
 
