@@ -225,10 +225,10 @@ def reconstruct(
     # Responses by waves are corrected by the white image of a capture by waves; those by rays have that of rays.
     is_corrected = waves and capture.model == "wave" and camera.lens_data.converges
     by_itself = reference is None and (is_corrected or not chosen.as_it_is)
-    # A white by waves takes longer than the refocusing.
+    # A white by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
     works = [0, 1]
     if by_itself and capture.model == "wave":
-        works = [1, 6] if chosen.as_it_is else [4, 1]
+        works = [1, 5 if chosen.long else 1] if chosen.as_it_is else [4, 1]
     with memory_asked() as sizes:
         computed = None
         # Responses serve without a white image where captures of points alone have waves.
