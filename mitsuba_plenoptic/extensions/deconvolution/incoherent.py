@@ -54,13 +54,13 @@ def refocus(task: Task) -> list[np.ndarray]:
                 job=Job(progress=lambda done, total, progress=progress: progress(done / total)),  # type: ignore[misc]
                 steps=len(channels) * (len(images_of_plane) + 1) / 2,
             ) as response:
-                whites = [white_pixels(camera)]
-                if task.computed is not None:
-                    # It is one of the captures.
-                    whites = []
-                elif not camera.lens_data.converges:
+                whites = []
+                if not camera.lens_data.converges:
                     ones = np.ones(response.source_shape, np.float32)
                     whites = [DetectorOperator.of(camera).forward(response.forward(ones))]
+                elif task.computed is None:
+                    # Else it is one of the captures.
+                    whites = [white_pixels(camera)]
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in images_of_plane), *whites]
                     weighed = (

@@ -118,7 +118,7 @@ def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, 
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
         image = mp.reconstruct(capture, distance, method=method, oversample=oversample).image
-        np.testing.assert_allclose(image[1:-1, 1:-1], 1, atol=0.005)
+        np.testing.assert_allclose(image[1:-1, 1:-1], 1, atol=0.007)
         np.testing.assert_allclose(image, 1, atol=0.01)
 
 
@@ -128,7 +128,7 @@ LAMPS = {
     "circles": (small_camera(**LATTICES["circles"]), 222.0, [(5, 5), (1, 2)], 0.99),
     "three focal lengths": (
         small_camera(6, mla_lattice="hexagonal", mla_focal_length=(0.45, 0.512, 0.6), detector_distance=0.512),
-        222.0, [(3, 4), (1, 2)], 0.986,
+        222.0, [(3, 4), (1, 2)], 0.988,
     ),
     "from lens to lens": (
         FAST.replace(detector_width=0.384, resolution=(96, 96), vignetting=NARROWING, mla_rotation=20.0),
