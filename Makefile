@@ -26,8 +26,8 @@ demo: $(VENV)/.installed
 	$(BIN)/mitsuba-plenoptic reproduce --preset quick -o demo
 
 # Each process takes half of the tests in their order, so that those of a file share captures and compiled kernels, and
-# at the end some of the other's. A process that dies ends the run at once, and so does a test that hangs. Modules are
-# compiled once, not by each of the many processes that tests start, which a third of the time would go into.
+# at the end some of the other's. A process that dies ends the run at once, and so does a test that hangs. Tests
+# start many processes: compiled modules are kept, as a third of the time would go into compiling them again.
 PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal --max-worker-restart=0
 test: $(VENV)/.ready llvm
 	$(PYTEST) --timeout=300

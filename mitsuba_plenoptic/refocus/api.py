@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import logging
 import math
@@ -13,7 +12,7 @@ import numpy as np
 
 from .. import design
 from ..camera import PlenopticCamera, require_support
-from ..errors import LONGEST, InputError, require_count, suggest_keywords, warn
+from ..errors import LONGEST, require_count, suggest_keywords, warn
 from ..io import CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
@@ -34,7 +33,7 @@ from .methods import (
     used_by,
     work_of,
 )
-from .radiance import as_reference, computed_white
+from .radiance import as_reference, computed_white, white_of_response
 from .results import Reconstruction, Reconstructions
 from .straight import displaced_image, passed_light, straightened, straightened_image
 
@@ -222,18 +221,16 @@ def reconstruct(
     recorded_at = None
     if capture.model == "wave" and capture.wavelength is not None:
         recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
-    # Responses by waves are corrected by the white image of a capture by waves; those by rays have that of rays.
-    is_corrected = waves and capture.model == "wave" and camera.lens_data.converges
-    by_itself = reference is None and (is_corrected or not chosen.as_it_is)
-    # A white by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
-    works = [0, 1]
-    if by_itself and capture.model == "wave":
+    computed, works = None, [0, 1]
+    # A white image by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
+    if capture.model == "wave":
         works = [1, 5 if chosen.long else 1] if chosen.as_it_is else [4, 1]
     with memory_asked() as sizes:
-        computed = None
-        # Responses serve without a white image where captures of points alone have waves.
-        with contextlib.suppress(*[InputError] if as_recorded else []):
-            computed = computed_white(unstraightened, as_recorded, portion(report, 0, works)) if by_itself else None
+        # Responses by rays have the white image of rays, and Fourier microscopes have none.
+        if reference is None and not chosen.as_it_is:
+            computed = computed_white(unstraightened, portion(report, 0, works))
+        elif reference is None and waves and capture.model == "wave" and camera.lens_data.converges:
+            computed = white_of_response(unstraightened, portion(report, 0, works))
     with guards.watch() as found, memory_asked() as sizes:
         task = Task(
             image=image,

@@ -10,6 +10,7 @@ white also shows the positions from which bins receive their light; the image is
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -20,15 +21,17 @@ from scipy.ndimage import uniform_filter
 
 from ..camera import PlenopticCamera, once_a_camera
 from ..design import focus_type, lens_footprint
-from ..errors import refuse_if, short_repr
+from ..errors import InputError, refuse_if, short_repr
 from ..io import Capture, digest
 from ..runtime import Array, fft
-from ..views import capture_white, recorded_white
+from ..views import capture_white, recorded_white, wave_white
 from ..views import white_pixels as white_pixels
 from .displacement import brought_back, displacements, is_known, rising, tilt
 from .methods import Progress, Task, portion
 from .projection import ray_sums
 from .straight import straightened_image
+
+_log = logging.getLogger(__name__)
 
 
 def as_reference(
@@ -61,7 +64,7 @@ def as_reference(
         return np.ascontiguousarray(np.broadcast_to(pixels, image.shape))
     pixels = straightened_image(pixels, tilted)
     by_model = replace(white if isinstance(white, Capture) else capture, camera=tilted)
-    expected = computed_white(by_model, False, lambda done: None).mean(-1)
+    expected = computed_white(by_model, lambda done: None).mean(-1)
     scaled = recorded_white(pixels, pixels.shape, [capture.camera], expected)
     return np.ascontiguousarray(np.broadcast_to(scaled, image.shape))
 
@@ -236,12 +239,25 @@ def over_lenses(power: Array, camera: PlenopticCamera, oversample: int, fine: in
     return LensSpread(camera, oversample, fine, scale).forward(power).clip(min=0)
 
 
-def computed_white(capture: Capture, as_recorded: bool, progress: Progress) -> Array:
-    """Return the computed white image of a capture's model, straightened or as recorded, with as many channels."""
+def computed_white(capture: Capture, progress: Progress) -> Array:
+    """Return the computed white image of a capture's model, straightened like the capture, with as many channels."""
     channels = np.atleast_3d(capture.image).shape[2]
-    white = capture_white(capture, channels, lambda done, total: progress(done / total), as_recorded)
-    if not as_recorded:
-        white = straightened_image(white, capture.camera)
+    white = capture_white(capture, channels, lambda done, total: progress(done / total))
+    white = straightened_image(white, capture.camera)
+    return np.ascontiguousarray(np.broadcast_to(white, (*white.shape[:2], channels)))
+
+
+def white_of_response(capture: Capture, progress: Progress) -> Array | None:
+    """Return the white image by which responses by waves are corrected, as recorded, with a capture's channels.
+
+    It is None, and responses serve as they are, where signed rays do not compute captures, as those of points.
+    """
+    channels = np.atleast_3d(capture.image).shape[2]
+    try:
+        white = wave_white(capture, channels, lambda done, total: progress(done / total))
+    except InputError as error:
+        _log.info("responses are not corrected by a white image: %s", error)
+        return None
     return np.ascontiguousarray(np.broadcast_to(white, (*white.shape[:2], channels)))
 
 

@@ -35,6 +35,7 @@ from .light_field_files import require_light_field_path as require_light_field_p
 from .light_field_files import save_light_field as save_light_field
 from .light_field_files import write_labelled as write_labelled
 from .model_white import capture_white as capture_white
+from .model_white import wave_white as wave_white
 from .model_white import white_pixels as white_pixels
 from .mosaics import LAYOUTS as LAYOUTS
 from .mosaics import read_mosaic as read_mosaic

@@ -27,23 +27,26 @@ _MOST = 1024
 """Random rays a pixel where some are needed, those of all pixels up to which each gets more, and the most of each."""
 
 
-def capture_white(
-    capture: Capture, channels: int, progress: Progress | None = None, by_waves_alone: bool = False
-) -> Floats:
+def capture_white(capture: Capture, channels: int, progress: Progress | None = None) -> Floats:
     """Return the white image (rows, columns, 1 or `channels`) of a capture's model of light, for a radiance of 1.
 
     A recorded capture, and one that states no wavelength or that signed rays do not compute, has that of rays, without
-    diffraction, or the error is raised where rays would not do.
+    diffraction.
     """
-    camera = capture.camera
     if capture.model == "wave":
         try:
-            return _by_waves(camera, _spectrum_of(capture, channels), progress=progress)
+            return wave_white(capture, channels, progress)
         except InputError as error:
-            if by_waves_alone:
-                raise
             warn(f"white: it is computed by rays, as by waves it cannot be: {error}")
-    return white_pixels(camera)[..., None]
+    return white_pixels(capture.camera)[..., None]
+
+
+def wave_white(capture: Capture, channels: int, progress: Progress | None = None) -> Floats:
+    """Return the white image (rows, columns, 1 or `channels`) of a capture by waves, for a radiance of 1.
+
+    Raises an `InputError` where signed rays do not compute such captures.
+    """
+    return _by_waves(capture.camera, _spectrum_of(capture, channels), progress=progress)
 
 
 @once_a_camera

@@ -42,7 +42,7 @@ def found(folder):
 
 
 @pytest.mark.slow
-def test_the_page_shows_both_cameras(folder, found):
+def test_the_page_shows_the_camera_of_the_scene_and_that_without_the_array(folder, found):
     page = (folder / "report.html").read_text()
     assert "Against an ordinary camera" in page and "--against ordinary" in page
     assert [row["picture"] for row in found["pictures"]] == ["ordinary", "ray", "coherent"]
@@ -50,10 +50,6 @@ def test_the_page_shows_both_cameras(folder, found):
     for row in found["pictures"]:
         assert f'{row["title"]}</td><td class="number">{row["pixels"][0]} x ' in page
         assert f"{row['mtf50_per_mm']:.3g}" in page and f"{row['mtf10_per_mm']:.3g}" in page
-
-
-@pytest.mark.slow
-def test_the_ordinary_camera_is_that_of_the_scene_without_the_array(folder, found):
     camera = mp.read_capture(folder / "data" / "capture_wave.exr").camera
     twin = camera.replace(mla_lattice="none").replace(focus_distance=DISTANCE)
     capture = mp.read_capture(folder / "data" / "capture_ordinary.exr")

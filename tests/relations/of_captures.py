@@ -72,11 +72,13 @@ def of_reconstructions(method):
         return max(off_bins(colours[..., i], mono) for i in range(3)), 1e-4
 
     def white(draw):
-        """A white world reads 1 over the middle of the image: by rays, where a method has responses of both models."""
-        capture = mp.render_capture(sky(draw.camera), model="ray", spp=64)
-        others = {"response": "ray"} if method == "deconvolved" else {}
+        """A white world reads 1 over the middle of the image, by responses of its own model."""
+        by_waves = use is Use.RESPONSES and draw.rng.random() < 0.5
+        recorded = {"model": "wave", "wavelength": draw.wavelength} if by_waves else {"model": "ray"}
+        capture = mp.render_capture(sky(draw.camera), spp=64, **recorded)
+        others = {"response": "wave" if by_waves else "ray"} if method == "deconvolved" else {}
         g = 0.96 * draw.camera.focus_distance
-        image = image_at(draw.camera, capture.image, g, method, draw.wavelength, **others)
+        image = image_at(None, capture, g, method, draw.wavelength, **others)
         rows, columns = (count // 4 for count in image.shape)
         return abs(float(np.nanmean(image[rows:-rows, columns:-columns])) - 1), 0.02
 

@@ -55,12 +55,15 @@ def refocus(task: Task) -> list[np.ndarray]:
                 steps=len(channels) * (len(images_of_plane) + 1) / 2,
             ) as response:
                 whites = []
-                if not camera.lens_data.converges:
+                # Else it is one of the captures.
+                if task.computed is None:
+                    by_waves = task.recorded is not None or not camera.lens_data.converges
                     ones = np.ones(response.source_shape, np.float32)
-                    whites = [DetectorOperator.of(camera).forward(response.forward(ones))]
-                elif task.computed is None:
-                    # Else it is one of the captures.
-                    whites = [white_pixels(camera)]
+                    whites = [
+                        DetectorOperator.of(camera).forward(response.forward(ones))
+                        if by_waves
+                        else white_pixels(camera)
+                    ]
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in images_of_plane), *whites]
                     weighed = (

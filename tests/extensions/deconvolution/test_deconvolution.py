@@ -113,7 +113,7 @@ def white_of_waves(camera, wavelength, points=81, step=4e-4, around=8):
     ],
 )
 def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, oversample):
-    """Points do not show on pixels, and light beyond kernels is there; white of signed rays is less even in corners."""
+    """Points do not show on pixels, and light beyond kernels is kept. White by signed rays is less even in corners."""
     camera = FAST.replace(**options)
     capture = mp.Capture(white_of_waves(camera, 550.0), camera, 550.0, "wave")
     for method in ("incoherent", "deconvolved"):
