@@ -97,7 +97,9 @@ _UNEQUAL_LENSES = (
     refused(Use.SMALL_LENSES | Use.FIELD_DERIVATIVES, "the light of one lens stands for that of others", "reconstruct"),
 )
 _UNEVEN_LENSES = approximate(
-    Use.POINTS, "strong ones: patches miss up to 1.3 per cent of a spread by full_field, 0.2 to 0.5 behind equal lenses"
+    Use.POINTS,
+    "strong ones: patches miss up to 1.3 per cent of a spread by full_field, 0.2 to 0.5 behind equal lenses, and 3 in "
+    "focus between unequal ones that `mla_cra` moves",
 )
 _ZONES = "zones of lenses share the pupil of their middle, and other light than that is divided out"
 _BEHIND_LENSES = (

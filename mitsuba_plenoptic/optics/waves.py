@@ -291,9 +291,13 @@ def _advance(
     down, across = pitch if isinstance(pitch, tuple) else (pitch, pitch)
     sx = direction_cosine(types, column, columns, across, wavelength)
     first, all_rows = part or (0, rows)
-    sy = direction_cosine(types, row + dr.opaque(types.UInt32, first), all_rows, down, wavelength)
+    row += dr.opaque(types.UInt32, first)
+    sy = direction_cosine(types, row, all_rows, down, wavelength)
     factor = transfer(sx, sy, distance, wavelength, **how)
-    return fft.pack(fft.unpack(packed) * (factor if response is None else factor * response(sx, sy)))
+    light = fft.unpack(packed) * (factor if response is None else factor * response(sx, sy))
+    # The frequency of half a period a sample stands for both of its signs: kept with one, light would go to one side.
+    half = [2 * index == dr.opaque(types.UInt32, count) for index, count in ((column, columns), (row, all_rows))]
+    return fft.pack(dr.select(half[0] | half[1], 0, light))
 
 
 def transfer(

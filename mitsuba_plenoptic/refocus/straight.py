@@ -100,7 +100,7 @@ def _moved(image: Floats, camera: PlenopticCamera) -> Floats:
     clipped = moved.clip(least, None)
     if least < 0:
         return clipped
-    size = max(1, round(camera.micro_image_pitch / camera.pixel_size))
+    size = 2 * round(camera.micro_image_pitch / camera.pixel_size / 2) + 1  # odd: even windows lie to one side
     light, more = (uniform_filter(picture, size, mode="nearest", axes=(0, 1)) for picture in (moved, clipped))
     return clipped * np.divide(light, more, out=np.ones_like(more), where=more > 0).clip(0.5, 1)
 

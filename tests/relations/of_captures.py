@@ -54,7 +54,7 @@ def of_reconstructions(method):
         image, g = rng_image(draw), draw.point()[2]
         other = mp.PlenopticCamera(**mirrored_options(draw))
         there = image_at(other, np.ascontiguousarray(image[:, ::-1]), g, method, draw.wavelength)
-        limit = bound(draw, 0.005) if method == "ray" else 0.015
+        limit = {"ray": bound(draw, 0.005), "coherent": 1e-4, "partial": 1e-4}.get(method, 0.004)
         return off_bins(there[:, ::-1], image_at(draw.camera, image, g, method, draw.wavelength)), limit
 
     def planes(draw):

@@ -73,7 +73,7 @@ def units_of_particles(draw):
     for s in (1.0, 2.0):
         camera = mp.PlenopticCamera(**scaled(draw.parameters, s))
         box = particles.ParticleVolume(*(tuple(s * np.array([k * reach, k * reach, g + k])) for k in (-1.0, 1.0)))
-        seeding = particles.Seeding(count=4.0, diameter=2.0 * s)
+        seeding = particles.Seeding(count=8.0, diameter=2.0 * s)
         truth = particles.particle_sequence(
             camera, box, seeding, particles.Uniform((0.0, 0.0, 0.0)), interval=1.0, seed=draw.seed % 1000
         )

@@ -24,7 +24,8 @@ AT_THE_LINE_D = "glass mla_glass"
 
 
 def bound(draw, exact):
-    return 0.014 if STRONG & set(draw.options) else exact
+    between_unequal = {"mla_cra", "mla_focal_length"} <= set(draw.options)
+    return 0.04 if between_unequal else 0.014 if STRONG & set(draw.options) else exact
 
 
 def picture(camera, points, wavelength, weights=None, s=1.0):
@@ -208,7 +209,7 @@ def directions_of(camera, rng, count=None):
 
 @relation(Use.POINT_DERIVATIVES, "crop_offset crop_size")
 def derivative(draw):
-    """Derivatives by all parameters are limits of differences of captures, of which two steps agree."""
+    """Derivatives by all parameters are limits of differences of captures, of which those to both sides agree."""
     camera, points = differentiable(draw.camera), [draw.point(0.5)]
     moves = directions_of(camera, draw.rng)
     operator = mp.CaptureOperator(camera, points, wavelength=draw.wavelength)
@@ -216,14 +217,14 @@ def derivative(draw):
     image, worst = picture(camera, points, draw.wavelength), []
     for slope, (name, (value, direction)) in zip(slopes, moves.items(), strict=True):
         step = 0.02 / (off(slope + image, image) or 1.0)
-        far, near = (
+        ahead, behind = (
             (picture(with_parts(camera, {name: value + h * direction}), points, draw.wavelength) - image) / h
-            for h in (step, step / 2)
+            for h in (step / 2, -step / 2)
         )
         limit = LIMITS.get(name, 0.06)
-        # Steps that agree by more than half of it may both change how light is sampled.
-        if np.any(near) and off(far, near) < limit / 2:
-            worst.append(off(slope, 2 * near - far) / limit)
+        # Differences that disagree by half of it may see that light is sampled in other ways.
+        if np.any(ahead) and off(ahead, behind) < limit / 2:
+            worst.append(off(slope, (ahead + behind) / 2) / limit)
             draw.slopes.append(name)
     return (max(worst), 1.0) if worst else None
 
