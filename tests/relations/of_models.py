@@ -189,7 +189,7 @@ def full_fields(draw):
     """Point spreads on the lit lenses are those on the whole array, within what their page states."""
     of, at = (draw.camera, draw.point()), {"wavelength": draw.wavelength}
     one, two = (mp.point_spread_function(*of, **at, method=each) for each in ("patch", "full_field"))
-    return off(one, two), bound(draw, 0.005)
+    return off(one, two), bound(draw, 0.008)
 
 
 @relation(Use.POINTS | Use.RAY_SPREADS, f"main_lens {CROPS}", "point spreads by rays")
@@ -200,7 +200,7 @@ def short_waves(draw):
     long, short = (picture(camera.at_wavelength(draw.wavelength), [point], w) for w in (700.0, 200.0))
     if rays.sum() < 0.1:
         return None
-    light = abs(short.sum() / rays.sum() - 1) / 0.03
+    light = abs(short.sum() / rays.sum() - 1) / (0.06 if "mla_fill" in draw.options else 0.03)
     return max(light, off(short, rays) / (off(long, rays) + bound(draw, 0.005))), 1.0
 
 

@@ -274,7 +274,7 @@ def euler(draw):
 
     by_points = (grown(1 + h) - grown(1 - h)) / (2 * h)
     # Without an array fringes in a blur wider than the detector have derivatives that miss as the page states.
-    return off(-by_camera, by_points), 0.1 if camera.has_array else 0.16
+    return off(-by_camera, by_points), 0.12 if camera.has_array else 0.16
 
 
 @relation(Use.POINT_DERIVATIVES)
