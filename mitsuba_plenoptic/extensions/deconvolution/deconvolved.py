@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,25 +136,28 @@ class Solved:
 
 
 class _Flat(LinearMap):
-    """A response whose pixels record a part of the light, each its own: 0 for pixels that are left out."""
+    """A response whose pixels record a part of the light, each its own, 0 if left out, as bins send a part of it."""
 
-    def __init__(self, response: LinearMap, flat: Floats) -> None:
+    def __init__(self, response: LinearMap, flat: Floats, bright: Any = 1) -> None:
         super().__init__(response.source_shape, response.image_shape)
         self._response = response
         self.flat = flat
+        self.bright = bright
 
     def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
         """Return the pixels lit by bins."""
-        return self._response.forward(values) * self.flat
+        return self._response.forward(values * self.bright) * self.flat
 
     def adjoint(self, image: NDArray[Any], /) -> NDArray[Any]:
         """Return the transpose of `forward`, applied to pixels."""
-        return self._response.adjoint(image * self.flat)
+        return self._response.adjoint(image * self.flat) * self.bright
 
 
-def flat_field(response: Response | FourierResponse, white: Floats, is_recorded: bool = True) -> Floats:
+def flat_field(
+    response: Response | FourierResponse, white: Floats, is_recorded: bool = True, bright: Any = 1
+) -> Floats:
     """Return what pixels record over a response's light, by their white; 0 where a recorded one is far from that."""
-    computed = response.forward(np.full(response.source_shape, 1 / len(response.shapes), np.float32))
+    computed = response.forward(np.full(response.source_shape, bright / len(response.shapes), np.float32))
     # A recorded white says nothing of darker pixels.
     lit = computed > 0.03 * computed.max()
     ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
@@ -163,6 +166,21 @@ def flat_field(response: Response | FourierResponse, white: Floats, is_recorded:
     ratio /= np.median(ratio[lit & (white > 0)])
     # Pixels behind dust are left out. Micro-images of lenses of another brightness are no dust.
     return np.where(lit, np.where(abs(ratio - 1) < 0.15, ratio, 0), 1).astype(np.float32)
+
+
+def _balanced(response: Response | FourierResponse, white: Floats) -> _Flat:
+    """Return a response with the computed white image and, where the pupil changes, with the known light of bins.
+
+    Each changes the other, in four rounds less and less.
+    """
+    operator = _Flat(response, flat_field(response, white, False))
+    known = response.light
+    for _ in range(0 if known is None else 4):
+        light = operator.adjoint(np.ones(response.image_shape, np.float32))
+        more = np.divide(cast(Floats, known), light, out=np.ones_like(light), where=light > 1e-3 * light.max())
+        bright = (operator.bright * more).clip(0.5, 2)
+        operator = _Flat(response, flat_field(response, white, False, bright), bright)
+    return operator
 
 
 def _solve(
@@ -189,9 +207,11 @@ def _solve(
             task.checkpoint.save_arrays(lambda: {"solved": facts, **images, **state.arrays()})
 
     operator: LinearMap = response
-    white = task.computed if task.white is None else task.white
-    if white is not None:
-        operator = _Flat(response, flat_field(response, white[..., channel], task.white is not None))
+    if task.white is not None:
+        operator = _Flat(response, flat_field(response, task.white[..., channel]))
+    elif task.computed is not None:
+        operator = _balanced(response, task.computed[..., channel])
+    if isinstance(operator, _Flat):
         image = np.where(operator.flat > 0, image, 0)
     steps = RichardsonLucy(
         operator,

@@ -50,6 +50,8 @@ class StoredResponse(LinearMap):
     # Rows and columns of the bins of each plane, and those of a reconstruction among them, upright.
     shapes: list[tuple[int, int]]
     _windows: Sequence[tuple[slice, slice]]
+    # Light of bins of radiance 1 if the pupil changes, and steps are to keep it.
+    light: Floats | None = None
 
     def _store(self, several: bool) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="deconvolution-") if several else None

@@ -22,7 +22,7 @@ from ...design import resolution_limit
 from ...detector import SHARP, DetectorOperator
 from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
-from ...lenses import FittedLens, MainLens, RealLens, inverse_distance
+from ...lenses import FittedLens, MainLens, RealLens, inverse_distance, open_area
 from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
@@ -389,7 +389,7 @@ class Response(StoredResponse):
             number = lens_numbers(recorded).ravel()
             light, right, at_zone = (np.bincount(number, some.ravel()) for some in (white, own, whole))
             # So have bins, of whose light the middle's pupil has passed more or less than those of the lenses do.
-            sent = self.adjoint(np.ones_like(own)) * self._passed(owner, middles)
+            self.light = sent = self._sent(owner, middles, far or [0.0] * len(distances))
             dim = ratio
             for step in range(4 if wavelength else 1):
                 self._gain = dim
@@ -397,8 +397,10 @@ class Response(StoredResponse):
                     arrived = self.adjoint(np.ones_like(own))
                     lit = arrived > 1e-3 * arrived.max()
                     self._bright = self._bright * np.divide(sent, arrived, out=np.ones_like(sent), where=lit)
-                wrong = at_zone * np.bincount(number, self._direct(ones).ravel())
-                share = np.divide(light * right, wrong, out=np.ones_like(light), where=wrong > 0)
+                found = np.bincount(number, self._direct(ones).ravel())
+                # Of lenses at the rim some have hardly any pixels, and others no light of their zone.
+                known = (at_zone > 1e-3 * at_zone.max()) & (found > 1e-3 * found.max())
+                share = np.divide(light * right, at_zone * found, out=np.ones_like(light), where=known)
                 dim = dim * share[number].reshape(ratio.shape).astype(np.float32)
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
@@ -439,40 +441,60 @@ class Response(StoredResponse):
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
         return max(0.0, sent / (arrived * self.cells.grid.pitch.prod()) - 1)
 
-    def _passed(self, owner: Integers, middles: Sequence[Integers]) -> Floats:
-        """Return the light of bins that the pupils of lenses pass, over that which the pupils of their zones pass."""
+    def _sent(self, owner: Integers, middles: Sequence[Integers], far: Sequence[float]) -> Floats:
+        """Return the light of bins within kernels, as the pupils of lenses pass it and not those of their zones.
+
+        Behind a real lens that is known: where all of it is recorded it is the light of the bin's open pupil.
+        """
         lens, cells, camera = self.cells.grid.lens, self.cells, self._camera
         disc = _pairs(2**8)[1]
         pupil: Any = tuple(lens.pupil.radius * disc)
         edge = lens.pupil.radius * math.sqrt(math.pi / disc.shape[1])
 
-        def light(some: Integers) -> Floats:
-            inside, passed = _pupil_of(lens, self._vignetting, pupil, np.moveaxis(cells.middle(some), -1, 0)[..., None])
+        def light(place: Any) -> Floats:
+            inside, passed = _pupil_of(lens, self._vignetting, pupil, place)
             return np.asarray(np.clip(inside / edge + 0.5, 0, 1) * passed, np.float32)
 
         dark = np.zeros((1, disc.shape[1]), np.float32)
         index = self._sampled.index
-        of_lenses = np.concatenate([*map(light, np.array_split(index, -(-len(index) // 4096))), dark])
-        of_zones = np.concatenate([light(np.array(middles)), dark])
+        places_of = [np.moveaxis(cells.middle(some), -1, 0)[..., None] for some in (index, np.array(middles))]
+        of_lenses = np.concatenate([*map(light, np.array_split(places_of[0], -(-len(index) // 4096), 1)), dark])
+        of_zones = np.concatenate([light(places_of[1]), dark])
         zone = np.append(owner, len(middles))
-        ratios = []
-        for distance, bins in zip(self._distances, self.bins, strict=True):
+        ones = np.ones((*camera.shape, 1), np.float32)
+        corners, _ = cells.corners(self._sampled)
+        windows = cells.windows(np.asarray(active_backend().to_host(self._recorder.spread(ones)[0])))
+        recorded = windows[corners[:, 1], corners[:, 0]].sum((1, 2))
+        whole = np.append(recorded > 0.99 * recorded.max(), False)
+        light_of_bins = self.adjoint(ones[..., 0])
+        planes = self.planes_of(light_of_bins)
+        for distance, bins, beyond, arrived in zip(self._distances, self.bins, far, planes, strict=True):
             g = finite_distance(camera, distance)
             axes = (
                 ((np.arange(count) + first + 0.5) / self._oversample - lenses / 2) * camera.row_pitch
                 for count, first, lenses in zip(bins.shape[::-1], bins.first, camera.bin_count, strict=True)
             )
-            places = -np.stack(np.meshgrid(*axes), -1).reshape(-1, 2) * g / camera.mla_distance
-            for some in np.array_split(np.column_stack([places, np.full(len(places), g)]), -(-len(places) // 2048)):
-                landed = lens.bind(some).land(pupil, tuple(some.T[..., None]))
+            places = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
+            points = np.column_stack([-places * g / camera.mla_distance, np.full(len(places), g)])
+            known = np.zeros(len(points))
+            if not lens.is_uniform:
+                fitted = cast(FittedLens, lens)
+                stretch = fitted.image_stretch(camera, distance)
+                known = open_area(fitted, points) * np.interp(np.hypot(*places.T), stretch.places, stretch.area)
+                weight = radiance_weight(camera, lens, (camera.row_pitch / self._oversample) ** 2)
+                known *= weight / (math.pi * lens.reach**2 * (1 + beyond))
+            for some in np.array_split(np.arange(len(points)), -(-len(points) // 2048)):
+                landed = lens.bind(points[some]).land(pupil, tuple(points[some].T[..., None]))
                 x, y = turn(landed[0], landed[1], -cells.grid.rotation)
                 row = np.floor(y / cells.vectors[1, 1])
                 column = np.floor((x - row * cells.vectors[1, 0]) / cells.vectors[0, 0])
                 cell = self._sampled.find(np.stack([column, row], -1).astype(np.int64))
                 samples = np.arange(disc.shape[1])
                 here, there = of_lenses[cell, samples].sum(1), of_zones[zone[cell], samples].sum(1)
-                ratios.append(np.divide(here, there, out=np.ones_like(here), where=there > 0.01 * disc.shape[1]))
-        return np.concatenate(ratios)
+                ratio = np.divide(here, there, out=np.ones_like(here), where=there > 0.01 * disc.shape[1])
+                sure = (known[some] > 0) & whole[cell].all(1)
+                arrived.flat[some] = np.where(sure, known[some], arrived.flat[some] * ratio)
+        return light_of_bins
 
     def _middle(self, members: Integers) -> Integers:
         """Return the cell in the middle of a zone."""
