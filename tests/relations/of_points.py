@@ -24,8 +24,9 @@ AT_THE_LINE_D = "glass mla_glass"
 
 
 def bound(draw, exact):
-    between_unequal = {"mla_cra", "mla_focal_length"} <= set(draw.options)
-    return 0.04 if between_unequal else 0.014 if STRONG & set(draw.options) else exact
+    return (
+        0.04 if {"mla_cra", "mla_focal_length"} <= set(draw.options) else 0.014 if STRONG & set(draw.options) else exact
+    )
 
 
 def picture(camera, points, wavelength, weights=None, s=1.0):

@@ -174,10 +174,10 @@ def _balanced(response: Response | FourierResponse, white: Floats) -> _Flat:
     Each changes the other, in four rounds less and less.
     """
     operator = _Flat(response, flat_field(response, white, False))
-    known = response.light
-    for _ in range(0 if known is None else 4):
+    light_of_bins = response.light
+    for _ in range(0 if light_of_bins is None else 4):
         light = operator.adjoint(np.ones(response.image_shape, np.float32))
-        more = np.divide(cast(Floats, known), light, out=np.ones_like(light), where=light > 1e-3 * light.max())
+        more = np.divide(cast(Floats, light_of_bins), light, out=np.ones_like(light), where=light > 1e-3 * light.max())
         bright = (operator.bright * more).clip(0.5, 2)
         operator = _Flat(response, flat_field(response, white, False, bright), bright)
     return operator

@@ -397,10 +397,10 @@ class Response(StoredResponse):
                     arrived = self.adjoint(np.ones_like(own))
                     lit = arrived > 1e-3 * arrived.max()
                     self._bright = self._bright * np.divide(sent, arrived, out=np.ones_like(sent), where=lit)
-                found = np.bincount(number, self._direct(ones).ravel())
+                sums = np.bincount(number, self._direct(ones).ravel())
                 # Of lenses at the rim some have hardly any pixels, and others no light of their zone.
-                known = (at_zone > 1e-3 * at_zone.max()) & (found > 1e-3 * found.max())
-                share = np.divide(light * right, at_zone * found, out=np.ones_like(light), where=known)
+                lit = (at_zone > 1e-3 * at_zone.max()) & (sums > 1e-3 * sums.max())
+                share = np.divide(light * right, at_zone * sums, out=np.ones_like(light), where=lit)
                 dim = dim * share[number].reshape(ratio.shape).astype(np.float32)
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
@@ -451,8 +451,8 @@ class Response(StoredResponse):
         pupil: Any = tuple(lens.pupil.radius * disc)
         edge = lens.pupil.radius * math.sqrt(math.pi / disc.shape[1])
 
-        def light(place: Any) -> Floats:
-            inside, passed = _pupil_of(lens, self._vignetting, pupil, place)
+        def light(position: Any) -> Floats:
+            inside, passed = _pupil_of(lens, self._vignetting, pupil, position)
             return np.asarray(np.clip(inside / edge + 0.5, 0, 1) * passed, np.float32)
 
         dark = np.zeros((1, disc.shape[1]), np.float32)
@@ -465,7 +465,7 @@ class Response(StoredResponse):
         corners, _ = cells.corners(self._sampled)
         windows = cells.windows(np.asarray(active_backend().to_host(self._recorder.spread(ones)[0])))
         recorded = windows[corners[:, 1], corners[:, 0]].sum((1, 2))
-        whole = np.append(recorded > 0.99 * recorded.max(), False)
+        complete = np.append(recorded > 0.99 * recorded.max(), False)
         light_of_bins = self.adjoint(ones[..., 0])
         planes = self.planes_of(light_of_bins)
         for distance, bins, beyond, arrived in zip(self._distances, self.bins, far, planes, strict=True):
@@ -476,13 +476,13 @@ class Response(StoredResponse):
             )
             places = np.stack(np.meshgrid(*axes), -1).reshape(-1, 2)
             points = np.column_stack([-places * g / camera.mla_distance, np.full(len(places), g)])
-            known = np.zeros(len(points))
+            open_light = np.zeros(len(points))
             if not lens.is_uniform:
                 fitted = cast(FittedLens, lens)
                 stretch = fitted.image_stretch(camera, distance)
-                known = open_area(fitted, points) * np.interp(np.hypot(*places.T), stretch.places, stretch.area)
+                open_light = open_area(fitted, points) * np.interp(np.hypot(*places.T), stretch.places, stretch.area)
                 weight = radiance_weight(camera, lens, (camera.row_pitch / self._oversample) ** 2)
-                known *= weight / (math.pi * lens.reach**2 * (1 + beyond))
+                open_light *= weight / (math.pi * lens.reach**2 * (1 + beyond))
             for some in np.array_split(np.arange(len(points)), -(-len(points) // 2048)):
                 landed = lens.bind(points[some]).land(pupil, tuple(points[some].T[..., None]))
                 x, y = turn(landed[0], landed[1], -cells.grid.rotation)
@@ -492,8 +492,8 @@ class Response(StoredResponse):
                 samples = np.arange(disc.shape[1])
                 here, there = of_lenses[cell, samples].sum(1), of_zones[zone[cell], samples].sum(1)
                 ratio = np.divide(here, there, out=np.ones_like(here), where=there > 0.01 * disc.shape[1])
-                sure = (known[some] > 0) & whole[cell].all(1)
-                arrived.flat[some] = np.where(sure, known[some], arrived.flat[some] * ratio)
+                sure = (open_light[some] > 0) & complete[cell].all(1)
+                arrived.flat[some] = np.where(sure, open_light[some], arrived.flat[some] * ratio)
         return light_of_bins
 
     def _middle(self, members: Integers) -> Integers:
