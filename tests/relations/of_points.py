@@ -24,9 +24,8 @@ AT_THE_LINE_D = "glass mla_glass"
 
 
 def bound(draw, exact):
-    return (
-        0.04 if {"mla_cra", "mla_focal_length"} <= set(draw.options) else 0.014 if STRONG & set(draw.options) else exact
-    )
+    options = set(draw.options)
+    return 0.04 if {"mla_cra", "mla_focal_length"} <= options else 0.014 if STRONG & options else exact
 
 
 def picture(camera, points, wavelength, weights=None, s=1.0):
