@@ -180,8 +180,7 @@ def medium(draw):
         return None
     lengths = np.array(camera.mla_focal_lengths) / n
     air = camera.replace(mla_focal_length=tuple(lengths.tolist()), detector_distance=camera.detector_distance / n)
-    within = camera.replace(mla_medium=n)
-    return off(picture(within, points, draw.wavelength), picture(air, points, draw.wavelength)), 0.008
+    return off(*(picture(each, points, draw.wavelength) for each in (camera.replace(mla_medium=n), air))), 0.008
 
 
 @relation(Use.POINTS | Use.FULL_FIELDS, f"main_lens {CROPS}", "full fields")
