@@ -16,19 +16,9 @@ from ...refocus_options import with_parameters
 @partial(with_parameters, parameters=options.PICTURE)
 def dual(
     capture: options.CaptureFile,
-    output: Annotated[
-        Path,
-        options.output_option(
-            "FILE",
-            "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
-            ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
-            *choices.PICTURES,
-        ),
-    ],
-    layout: Annotated[
-        Literal["2x1", "1x2", "2x2"],
-        typer.Option(help="Photodiodes of a lens: beside each other, above, or four."),
-    ] = "2x1",
+    *,
+    output: Annotated[Path, options.ends_in(*choices.PICTURES)],
+    layout: Literal["2x1", "1x2", "2x2"] = "2x1",
     **brightness: Any,
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
@@ -36,11 +26,18 @@ def dual(
     The camera's microlenses must cover 2 x 2 pixels each, as in the presets full_frame_dual, phone_quad and
     phone_quad_bayer. Objects nearer than the plane in focus lie further to the right in the left picture.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in .exr, the
+        pictures side by side if in .png, a labelled figure if in .pdf.
+    layout
+        Photodiodes of a lens: beside each other, above, or four.
 
-      mitsuba-plenoptic dual raw.exr -o halves.exr
-
-      mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
+    Examples
+    --------
+    $ mitsuba-plenoptic dual raw.exr -o halves.exr
+    $ mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
     """
     import numpy as np
 
