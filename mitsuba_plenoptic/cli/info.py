@@ -101,25 +101,27 @@ def camera(
     from ..report import design_sheet, main_lens_figure, microlens_figure
 
     capture = read_capture(source) if recorded else None
-    shown = capture.camera if capture else load_camera(source, parameters, unit)[0]
+    subject = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if microlens is not None:
-        shown.require_array(str(microlens))
-        microlens_figure(shown, wavelength).save(microlens, dpi)
+        subject.require_array(str(microlens))
+        microlens_figure(subject, wavelength).save(microlens, dpi)
     if drawing is not None:
-        refuse_if(shown.prescription is None, f"{drawing}: the camera has no main_lens of surfaces that could be drawn")
-        cell = shown.row_pitch if shown.has_array else 0.0
-        main_lens_figure(main_lens(shown), shown.focus_distance, cell).save(drawing, dpi)
-    facts: dict[str, Any] = {"camera": shown.to_dict(), "warnings": design_warnings(shown, wavelength)}
+        refuse_if(
+            subject.prescription is None, f"{drawing}: the camera has no main_lens of surfaces that could be drawn"
+        )
+        cell = subject.row_pitch if subject.has_array else 0.0
+        main_lens_figure(main_lens(subject), subject.focus_distance, cell).save(drawing, dpi)
+    facts: dict[str, Any] = {"camera": subject.to_dict(), "warnings": design_warnings(subject, wavelength)}
     facts["capture"] = _origin(capture) if capture else {}
     if fix is not None:
-        better = mended(shown, wavelength)
+        better = mended(subject, wavelength)
         write_text(fix, better.to_json(), ".json")
         better_facts = better.to_dict().items()
         facts["changed"] = {name: value for name, value in better_facts if facts["camera"].get(name) != value}
         facts["still"] = design_warnings(better, wavelength)
-    console = _shown(facts, design_sheet(shown, wavelength), as_json)
+    console = _shown(facts, design_sheet(subject, wavelength), as_json)
     if console is None:
         return
     from rich.markup import escape

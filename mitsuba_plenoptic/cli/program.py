@@ -108,8 +108,8 @@ def command_group() -> Any:
         *group, name = words.split()
         commands = root.commands
         for title in group:
-            made = _Commands(name=title, help=help_text(module), rich_markup_mode="rich", context_settings=_HELP)
-            commands = commands.setdefault(title, made).commands
+            subgroup = _Commands(name=title, help=help_text(module), rich_markup_mode="rich", context_settings=_HELP)
+            commands = commands.setdefault(title, subgroup).commands
         commands[name] = TyperCommand(name)
     return root
 

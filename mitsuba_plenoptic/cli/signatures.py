@@ -86,7 +86,7 @@ def options_of(place: str, *names: str, **changes: Any) -> dict[str, inspect.Par
             listed: Any = _TYPES[re.split(r"\W", annotation)[0]]
             if words:
                 listed = Literal[ast.literal_eval(f"{words[1]},")]
-            keywords = changes.get(parameter, {})
+            keywords = dict(changes.get(parameter, {}))
             default = keywords.pop("default", _REQUIRED if value is None else ast.literal_eval(value))
             plain = re.sub(r":math:`[^`]*` |[`*]+", "", text)
             sentence, *_ = re.split(r"(?<=\.) (?=[A-Z])", plain)
@@ -118,8 +118,8 @@ def documented(function: Callable[..., Any], module: str) -> list[inspect.Parame
     options of Typer stay.
     """
     texts: dict[str, tuple[str, str]] = {}
-    for place in ((f"{__package__}.options", ""), (module, ""), (module, function.__name__)):
-        texts |= _texts(_docstring(*place))
+    for source in ((f"{__package__}.options", ""), (module, ""), (module, function.__name__)):
+        texts |= _texts(_docstring(*source))
     parameters = []
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
         typed, added = _taken_apart(parameter.annotation)
@@ -142,10 +142,9 @@ def _taken_apart(annotation: Any) -> tuple[Any, list[Any]]:
     if origin not in (Annotated, Union, UnionType, list):
         return annotation, []
     typed, added = _taken_apart(inner[0])
-    return (list.__class_getitem__(typed) if origin is list else typed), [
-        *added,
-        *(inner[1:] if origin is Annotated else []),
-    ]
+    if origin is Annotated:
+        added = [*added, *inner[1:]]
+    return list.__class_getitem__(typed) if origin is list else typed, added
 
 
 def _option(
@@ -160,6 +159,6 @@ def _option(
         otherwise = f"{default}, {otherwise}"
     stated = {"metavar": metavar or None, "show_default": otherwise or True, "help": sentences and f"{sentences}."}
     names = ["-o", "--output"] if name == "output" else [f"--{name.replace('_', '-')}"] if typed is bool else []
-    shown: Any = typed | None if default is None else typed
-    annotation = Annotated[shown, make(*names, **stated | keywords)]
+    accepted: Any = typed | None if default is None else typed
+    annotation = Annotated[accepted, make(*names, **stated | keywords)]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)

@@ -11,7 +11,7 @@ board : COLUMNSxROWS
 square
     Distance in millimetres of neighbouring corners, the scale of all lengths.
 report : FILE.html
-    Also write a page with what was found and how well it agrees.
+    Also write a page with what was result and how well it agrees.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def _require_picture(name: str, path: Path) -> None:
         path.suffix.lower() in choices.LYTRO_SUFFIXES,
         f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
     )
-    known = path.suffix.lower() in (".exr", ".png", ".tif", ".tiff")
-    refuse_if(not known, f"{path}: it is {content_of(path)}; pictures are .exr, .png or .tiff")
+    is_picture = path.suffix.lower() in (".exr", ".png", ".tif", ".tiff")
+    refuse_if(not is_picture, f"{path}: it is {content_of(path)}; pictures are .exr, .png or .tiff")
 
 
 def _require_table(name: str, path: Path) -> None:
@@ -72,20 +72,20 @@ def centres(whites: list[Picture], *, output: Annotated[Path, options.ends_in(".
     from .calibration_result import listed
 
     require_apart(require_writable(output), *whites)
-    found = calibration.find_centres(*(_values(path, linear) for path in whites))
-    calibration.write_centres(output, found)
-    if found.doubtful.any():
-        lenses = listed([f"({column}, {row})" for column, row in found.lens[found.doubtful].tolist()], _NAMED)
+    result = calibration.find_centres(*(_values(path, linear) for path in whites))
+    calibration.write_centres(output, result)
+    if result.doubtful.any():
+        lenses = listed([f"({column}, {row})" for column, row in result.lens[result.doubtful].tolist()], _NAMED)
         typer.echo(
-            f"{found.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
+            f"{result.doubtful.sum()} doubtful centres, which dust or a defect may displace (column doubtful), of "
             f"lenses (k, l) {lenses}"
         )
-    along, across = found.grid.spacing
-    rows = "" if found.grid.shifted_rows is None else ", every second row shifted"
+    along, across = result.grid.spacing
+    rows = "" if result.grid.shifted_rows is None else ", every second row shifted"
     typer.echo(
-        f"{output}: {len(found.pixel)} centres, {found.error:.3f} px RMS from a regular grid of {along:.5f} x "
-        f"{across:.5f} px{rows}, turned by {math.degrees(found.grid.rotation):.4f} degrees; the faintest micro-image "
-        f"has {found.light.min():.0%} of the brightest's light"
+        f"{output}: {len(result.pixel)} centres, {result.error:.3f} px RMS from a regular grid of {along:.5f} x "
+        f"{across:.5f} px{rows}, turned by {math.degrees(result.grid.rotation):.4f} degrees; the faintest micro-image "
+        f"has {result.light.min():.0%} of the brightest's light"
     )
 
 
