@@ -141,18 +141,16 @@ def all_options() -> dict[str, Option]:
 
 
 def with_parameters(function: _Call, parameters: dict[str, Any]) -> _Call:
-    """Return a function of ``**options`` with a signature that names them; `parameters` has them, or their annotations.
+    """Return a function of ``**options`` with a signature that names them; `parameters` has their annotations.
 
-    A parameter of which the annotation alone is given is False by default where it is a `bool`, and else None.
+    A parameter that is a `bool` is False where it is not given, others are None.
     """
     signature = inspect.signature(function, eval_str=True)
     parameters_of_function = [
         item for item in signature.parameters.values() if item.kind is not inspect.Parameter.VAR_KEYWORD
     ]
     added = [
-        kind
-        if isinstance(kind, inspect.Parameter)
-        else inspect.Parameter(
+        inspect.Parameter(
             name,
             inspect.Parameter.KEYWORD_ONLY,
             # `Annotated` has its type as its origin; a flag that may be None has a default of the method.

@@ -98,19 +98,24 @@ def camera(
     # Bring libraries that take seconds to load.
     from ..design import design_warnings, mended
     from ..lenses import main_lens
-    from ..report import design_sheet, main_lens_figure, microlens_figure
+    from ..report import design_sheet
 
     capture = read_capture(source) if recorded else None
     subject = capture.camera if capture else load_camera(source, parameters, unit)[0]
     if capture and wavelength is None and isinstance(capture.wavelength, float):
         wavelength = capture.wavelength
     if microlens is not None:
+        # Brings Matplotlib, which takes a while to load, as does the other drawing.
+        from ..report import microlens_figure
+
         subject.require_array(str(microlens))
         microlens_figure(subject, wavelength).save(microlens, dpi)
     if drawing is not None:
         refuse_if(
             subject.prescription is None, f"{drawing}: the camera has no main_lens of surfaces that could be drawn"
         )
+        from ..report import main_lens_figure
+
         cell = subject.row_pitch if subject.has_array else 0.0
         main_lens_figure(main_lens(subject), subject.focus_distance, cell).save(drawing, dpi)
     facts: dict[str, Any] = {"camera": subject.to_dict(), "warnings": design_warnings(subject, wavelength)}
@@ -178,7 +183,7 @@ def lens(
     require_png(dpi, drawing)
     # Bring libraries that take seconds to load.
     from ..prescription import read_prescription
-    from ..report import behind_lens, lens_sheet, main_lens_figure
+    from ..report import behind_lens, lens_sheet
 
     prescription = read_prescription(source)
     try:
@@ -189,6 +194,9 @@ def lens(
     except InputError as error:
         raise InputError(f"{source}: {str(error).removeprefix('main_lens: ')}") from None
     if drawing is not None:
+        # Brings Matplotlib, which takes a while to load.
+        from ..report import main_lens_figure
+
         main_lens_figure(real_lens, distance).save(drawing, dpi)
     _shown({"lens": prescription.to_plain()}, rows, as_json)
 

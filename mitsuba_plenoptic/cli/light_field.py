@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis
 from ..errors import naming, refuse_if, require_suffix, warn
-from ..refocus_options import with_parameters
 from ..runtime import progress_bar
 from . import options
 from .inputs import drawing_of, light_field, named_camera, require_in_sight
 
 
-@partial(with_parameters, parameters=options.LIGHT_FIELD | options.PICTURE)
 def views(
     source: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in(*PICTURES, *ANIMATED)],
     count: int | None = None,
     truth: options.Existing | None = None,
-    **settings: Any,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Show the scene from many positions on the main lens.
 
@@ -49,9 +47,9 @@ def views(
     from ..runtime import require_apart
     from ..views import pick_views
 
-    require_apart(require_picture_path(output, animated=True), source, settings["white"], truth)
-    drawing = drawing_of(settings, output)
-    lf = light_field(source, settings, named_camera(settings["camera"]), truth or True)
+    require_apart(require_picture_path(output, animated=True), source, light["white"], truth)
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if count is not None:
         lf = pick_views(lf, count)
     if output.suffix.lower() in ANIMATED:
@@ -62,7 +60,6 @@ def views(
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
 
 
-@partial(with_parameters, parameters=options.LIGHT_FIELD | options.PICTURE)
 def epi(
     source: options.CaptureFile,
     *,
@@ -70,7 +67,8 @@ def epi(
     axis: Axis = "horizontal",
     at: float | None = None,
     through: float | None = None,
-    **settings: Any,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
@@ -96,23 +94,23 @@ def epi(
     from ..runtime import require_apart
     from ..views import epipolar_image
 
-    require_apart(require_picture_path(output), source, settings["white"])
-    drawing = drawing_of(settings, output)
-    lf = light_field(source, settings, named_camera(settings["camera"]))
+    require_apart(require_picture_path(output), source, light["white"])
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, named_camera(light["camera"]))
     image = epipolar_image(lf, axis, at=at, through=through)
     write_epipolar_image(output, image, drawing)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")
 
 
-@partial(with_parameters, parameters=options.LIGHT_FIELD | options.PICTURE)
 def stack(
     source: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in(*PICTURES, *ANIMATED)],
     distance: options.Distances | None = None,
     disparity: list[options.Number] | None = None,
-    **settings: Any,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there.
 
@@ -136,7 +134,7 @@ def stack(
     if not distance and not disparity:
         raise typer.BadParameter("give at least one, or a disparity", param_hint="--distance")
     refuse_if(distance and disparity, "--distance, --disparity: give one of the two")
-    camera_of_option = require_in_sight(source, named_camera(settings["camera"]), *(distance or []))
+    camera_of_option = require_in_sight(source, named_camera(light["camera"]), *(distance or []))
     by, planes = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
@@ -144,9 +142,9 @@ def stack(
     from ..runtime import require_apart
     from ..views import focal_stack
 
-    require_apart(require_picture_path(output, animated=True), source, settings["white"])
-    drawing = drawing_of(settings, output)
-    lf = light_field(source, settings, camera_of_option)
+    require_apart(require_picture_path(output, animated=True), source, light["white"])
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, camera_of_option)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, sweep_distances(planes, by) if animated else planes, by=by, progress=progress)
@@ -163,7 +161,6 @@ _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
 
-@partial(with_parameters, parameters=options.LIGHT_FIELD | options.PICTURE)
 def depth(
     source: options.CaptureFile,
     *,
@@ -172,7 +169,8 @@ def depth(
     far: float | None = None,
     planes: int | None = None,
     truth: options.Existing | None = None,
-    **settings: Any,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how views agree.
 
@@ -202,13 +200,13 @@ def depth(
     from ..runtime import require_apart
     from ..views import beyond_search, depth_error, depth_map, is_focused, open_micro_images
 
-    require_apart(require_picture_path(output), source, settings["white"], truth)
-    drawing = drawing_of(settings, output)
-    camera_of_option = named_camera(settings["camera"])
-    lf = light_field(source, settings, camera_of_option, truth or True)
+    require_apart(require_picture_path(output), source, light["white"], truth)
+    drawing = drawing_of(picture, output)
+    camera_of_option = named_camera(light["camera"])
+    lf = light_field(source, light, camera_of_option, truth or True)
     images = None
     if is_focused(lf):
-        images = open_micro_images(source, white=settings["white"], linear=settings["linear"], camera=camera_of_option)
+        images = open_micro_images(source, white=light["white"], linear=light["linear"], camera=camera_of_option)
     with progress_bar("Comparing views") as progress:
         estimate = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
     write_depth(output, estimate, drawing)
@@ -245,14 +243,13 @@ def depth(
         )
 
 
-@partial(with_parameters, parameters=options.LIGHT_FIELD)
 def convert(
     source: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in()],
     format: Literal["hci"] | None = None,
     truth: options.Existing | None = None,
-    **settings: Any,
+    light: options.LightField,
 ) -> None:
     """Decode a capture into a light field, or change a light field's format.
 
@@ -286,8 +283,8 @@ def convert(
     else:
         writer = format_of(HCI, "light field", f"format = {format}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
-    require_apart(output, source, settings["white"], truth)
-    lf = light_field(source, settings, named_camera(settings["camera"]), truth or True)
+    require_apart(output, source, light["white"], truth)
+    lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if writer is not None:
         depth_of_views = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if depth_of_views is None else depth_of_views.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]

@@ -228,8 +228,8 @@ CameraFile = Annotated[
     ),
 ]
 
-LIGHT_FIELD: dict[str, Any] = {"white": Existing, "view_count": int, "linear": bool, "camera": CameraFile}
+LightField = Annotated[dict[str, Any], {"white": Existing, "view_count": int, "linear": bool, "camera": CameraFile}]
 """Options of commands that read a light field: see `inputs.light_field`."""
 
-PICTURE: dict[str, Any] = {"exposure": float, "percentile": float, "scale": int, "figure": bool, "dpi": Dpi}
+Picture = Annotated[dict[str, Any], {"exposure": float, "percentile": float, "scale": int, "figure": bool, "dpi": Dpi}]
 """Options of commands that write pictures: see `inputs.drawing_of`."""

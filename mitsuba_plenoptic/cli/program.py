@@ -122,11 +122,19 @@ def load(name: str) -> Any:
     module = COMMANDS[name]
     command = getattr(importlib.import_module(module), name.split()[-1])
 
-    @functools.wraps(command)
-    def called(quiet: bool, verbose: bool, **options: Any) -> None:
-        command(**options)
+    options = documented(command, module)
 
-    called.__signature__ = inspect.Signature(documented(command, module))  # type: ignore[attr-defined]
+    @functools.wraps(command)
+    def called(quiet: bool, verbose: bool, **values: Any) -> None:
+        command(
+            **{
+                name: values[name] if name in several else {option: values[option] for option in several}
+                for name, several in options.items()
+            }
+        )
+
+    parameters = [parameter for several in options.values() for parameter in several.values()]
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     alone = typer.Typer(rich_markup_mode="rich", add_completion=False)
     alone.command(name, help=help_text(module, command.__name__), context_settings=_HELP)(
         with_parameters(called, _FOR_ALL)

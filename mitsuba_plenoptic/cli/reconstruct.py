@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +11,7 @@ import typer
 
 from ..choices import PICTURES, VOLUMES
 from ..errors import refuse_if
-from ..refocus_options import Option, all_options, with_parameters
+from ..refocus_options import Option, all_options
 from ..runtime import in_words, progress_bar
 from . import options
 from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear, require_png
@@ -42,8 +41,6 @@ def _method_options() -> dict[str, Any]:
     return command_options
 
 
-@partial(with_parameters, parameters=_method_options())
-@partial(with_parameters, parameters=options.PICTURE)
 def reconstruct(
     capture: options.CaptureFile,
     *,
@@ -60,7 +57,8 @@ def reconstruct(
     scheduler: options.Scheduler | None = None,
     estimate: options.Estimate = False,
     variant: options.Variant | None = None,
-    **settings: Any,
+    picture: options.Picture,
+    of_method: Annotated[dict[str, Any], _method_options()],
 ) -> None:
     """Refocus a capture to one or several distances.
 
@@ -113,7 +111,7 @@ def reconstruct(
         chosen,
         white=white,
         wavelength=wavelength,
-        **{name: _value_of(option, settings[name]) for name, option in all_options().items()},
+        **{name: _value_of(option, of_method[name]) for name, option in all_options().items()},
         resume=resume or None,
         workers=workers,
         scheduler=scheduler,
@@ -128,7 +126,7 @@ def reconstruct(
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
     as_volume = output.suffix.lower() in VOLUMES
-    drawing = drawing_of(settings, output)
+    drawing = drawing_of(picture, output)
     paths = [] if as_volume else reconstruction_paths(output, distance, drawing)
     if as_volume:
         require_volume_path(output, distance)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from ..choices import RAW_SUFFIXES, Model, Unit
-from ..refocus_options import with_parameters
 from ..runtime import progress_bar
 from . import options
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
@@ -180,15 +178,12 @@ def _shorter(scene: Any, sensor: int, spp: int | None, method: str | None) -> st
     return f"--spp {count // 4} instead of {count} takes about a quarter" if count >= 4 else ""
 
 
-_DETECTOR = options_of("detector.record:Detector")
-
-
-@partial(with_parameters, parameters=options_of("detector.record:expose", "photons", "seed") | _DETECTOR)
 def expose(
     capture: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in(".exr", ".png", ".tif", ".tiff")],
-    **settings: Any,
+    exposure: Annotated[dict[str, Any], options_of("detector.record:expose", "photons", "seed")],
+    detector: Annotated[dict[str, Any], options_of("detector.record:Detector")],
 ) -> None:
     """Add what a real detector does: noise, saturation, digital numbers.
 
@@ -213,12 +208,11 @@ def expose(
     from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), capture)
-    detector = Detector(**{name: settings.pop(name) for name in _DETECTOR})
-    exposed = record(read_capture(capture), detector, **settings)
+    exposed = record(read_capture(capture), Detector(**detector), **exposure)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
-    electrons = detector.quantum_efficiency * settings["photons"]
+    electrons = detector["quantum_efficiency"] * exposure["photons"]
     saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
     typer.echo(
-        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {detector.full_well:g}; "
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {detector['full_well']:g}; "
         f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
     )

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import typer
 from typer.models import OptionInfo
 
-_TYPES = {"bool": bool, "complex": float, "float": float, "int": int, "str": str, "tuple": str}
+_TYPES = {"bool": bool, "complex": float, "float": float, "int": int, "str": str}
 
 _UNITS = {
     "millimetres": "MM",
@@ -68,31 +68,28 @@ def summary(module: str, name: str = "") -> str:
     return help_text(module, name).partition("\n\n")[0].replace("\n", " ")
 
 
-def options_of(place: str, *names: str, **changes: Any) -> dict[str, inspect.Parameter]:
+def options_of(place: str, *names: str) -> dict[str, inspect.Parameter]:
     """Return an option for each parameter of a function or class of the package, or for those of some names.
 
     Type and default are those of the signature; the help is the first sentence of the docstring's text, which also says
-    what to choose from, the unit, and the default in words. Changes by name are keywords of `typer.Option`, and
-    ``type`` and ``default``.
+    what to choose from, the unit, and the default in words.
     """
     module, _, name = place.partition(":")
     module = f"{__package__.partition('.')[0]}.{module}"
     texts = _texts(_docstring(module, name))
     options = {}
     for parameter, annotation, value in _signature(_definition(module, name)):
-        if not names or parameter in names:
-            kind, text = texts[parameter]
-            words = re.match(r"\{(.*)\}", kind)
-            listed: Any = _TYPES[re.split(r"\W", annotation)[0]]
-            if words:
-                listed = Literal[ast.literal_eval(f"{words[1]},")]
-            keywords = dict(changes.get(parameter, {}))
-            default = keywords.pop("default", _REQUIRED if value is None else ast.literal_eval(value))
-            plain = re.sub(r":math:`[^`]*` |[`*]+", "", text)
-            sentence, *_ = re.split(r"(?<=\.) (?=[A-Z])", plain)
-            otherwise = re.search(r"Default: .*?\.(?= |$)", plain)
-            sentence += f" {otherwise[0]}" if otherwise and otherwise[0] != sentence else ""
-            options[parameter] = _option(parameter, keywords.pop("type", listed), default, "", sentence, keywords)
+        if names and parameter not in names:
+            continue
+        kind, text = texts[parameter]
+        typed: Any = _TYPES[re.split(r"\W", annotation)[0]]
+        if choices := re.match(r"\{(.*)\}", kind):
+            typed = Literal[ast.literal_eval(f"{choices[1]},")]
+        text = re.sub(r":math:`[^`]*` |[`*]+", "", text)
+        sentence, *_ = re.split(r"(?<=\.) (?=[A-Z])", text)
+        otherwise = re.search(r" Default: .*?\.(?= |$)", text)
+        default = _REQUIRED if value is None else ast.literal_eval(value)
+        options[parameter] = _option(parameter, typed, default, "", sentence + (otherwise[0] if otherwise else ""), {})
     return options
 
 
@@ -110,29 +107,41 @@ def _signature(node: Any) -> list[tuple[str, str, ast.expr | None]]:
     return [(item.arg, ast.unparse(item.annotation), value) for item, value in zip(arguments, values, strict=True)]
 
 
-def documented(function: Callable[..., Any], module: str) -> list[inspect.Parameter]:
-    """Return the parameters of a command as options, and as arguments those that may stand without a name.
+def documented(function: Callable[..., Any], module: str) -> dict[str, dict[str, inspect.Parameter]]:
+    """Return the options of a command, and its arguments, which may stand without a name, by parameters that take them.
 
     The docstring, or else that of the module or of `options`, states what stands for a value, in place of a type, and
-    the text, whose last sentence may be the default in words. `Annotated` may add a callback, or the panel of the help;
-    options of Typer stay.
+    the text, whose last sentence may be the default in words. `Annotated` may add a callback, the panel of the help, or
+    options by name, of which the parameter takes a dictionary; options of Typer stay.
     """
     texts: dict[str, tuple[str, str]] = {}
     for source in ((f"{__package__}.options", ""), (module, ""), (module, function.__name__)):
         texts |= _texts(_docstring(*source))
-    parameters = []
+
+    def described(name: str, kind: Any, default: Any, make: Any) -> inspect.Parameter:
+        typed, added = _taken_apart(kind)
+        if any(isinstance(item, OptionInfo) for item in added):
+            optional: Any = typed | None if default is None else typed
+            annotation = Annotated[optional, added[-1]]
+            return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+        keywords = {"rich_help_panel" if isinstance(item, str) else "callback": item for item in added}
+        metavar, text = texts.get(name, ("", ""))
+        return _option(name, typed, default, metavar, text, keywords, make)
+
+    options = {}
     for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
-        typed, added = _taken_apart(parameter.annotation)
-        if isinstance(added[-1] if added else None, OptionInfo):
-            optional: Any = typed | None if parameter.default is None else typed
-            parameter = parameter.replace(annotation=Annotated[optional, added[-1]])
+        *_, last = _taken_apart(parameter.annotation)[1] or [None]
+        if isinstance(last, dict):
+            options[name] = {
+                option: kind
+                if isinstance(kind, inspect.Parameter)
+                else described(option, kind, False if kind is bool else None, typer.Option)
+                for option, kind in last.items()
+            }
         else:
-            keywords = {"rich_help_panel" if isinstance(item, str) else "callback": item for item in added}
             make = typer.Option if parameter.kind is inspect.Parameter.KEYWORD_ONLY else typer.Argument
-            metavar, text = texts.get(name, ("", ""))
-            parameter = _option(name, typed, parameter.default, metavar, text, keywords, make)
-        parameters.append(parameter)
-    return parameters
+            options[name] = {name: described(name, parameter.annotation, parameter.default, make)}
+    return options
 
 
 def _taken_apart(annotation: Any) -> tuple[Any, list[Any]]:

@@ -16,6 +16,7 @@ report : FILE.html
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -24,10 +25,12 @@ import typer
 
 from ... import choices
 from ...cli import inputs, options
-from ...errors import InputError, content_of, refuse_if
+from ...errors import InputError, content_of, naming, refuse_if
+from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from ...runtime import Array
+    from .photon_transfer import PhotonTransfer
 
 # Outliers that are printed by line.
 _NAMED = 10
@@ -185,7 +188,6 @@ def boards(
     start, _ = inputs.load_camera(camera, {})
     from . import calibration
     from .board_model import UNITS
-    from .calibration_page import write_calibration_report
     from .calibration_result import summary
 
     size = calibration.Board.parse(board, square)
@@ -194,6 +196,8 @@ def boards(
     result = calibration.calibrate(table, size, start, middles)
     calibration.write_calibration(output, result, size)
     if report:
+        from .calibration_page import write_calibration_report
+
         write_calibration_report(report, result, size, table, middles)
     for name, value in result.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {result.deviations[name]:.2g} {UNITS[name]}".rstrip())
@@ -230,7 +234,7 @@ def white(
     --------
     $ mitsuba-plenoptic calibrate white white.png --dark dark.tif --camera known.json -o camera.json
     """
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_apart, require_writable, write_text
 
     refuse_if(
         model == "ray" and wavelength is not None,
@@ -239,9 +243,30 @@ def white(
     for path in filter(None, (output, report)):
         require_apart(require_writable(path), picture, dark)
     nominal, _ = inputs.load_camera(camera, {})
-    from .white_command import fit_camera
+    from . import white_result
+    from .photon_transfer import photon_transfer
+    from .white_fit import fit_white
+    from .white_page import write_white_report
 
-    fit_camera(picture, output, nominal, dark, None if model == "ray" else wavelength or 550.0, report)
+    light = white_result.sensor_values(picture)
+    black = None if dark is None else white_result.sensor_values(dark)
+    noise: PhotonTransfer | str | None = None
+    if black is not None:
+        try:
+            noise = photon_transfer(light, black)
+        except InputError as error:
+            noise = str(error)
+    nanometres = None if model == "ray" else wavelength or 550.0
+    with naming(picture), progress_bar("Fitting the camera") as progress:
+        fit = fit_white(light, nominal, dark=black, wavelength=nanometres, progress=progress)
+    values = {**fit.camera.to_dict(), "calibration": white_result.record(fit, noise)}
+    write_text(output, json.dumps(values, indent=1) + "\n", ".json")
+    lines = white_result.summary(fit, noise)
+    typer.echo("\n".join(lines))
+    if report is not None:
+        with progress_bar("Simulating the white picture"):
+            write_white_report(report, fit, lines)
+    typer.echo(f"{output}: fitted to {(~fit.withheld).sum()} micro-images")
 
 
 def evaluate(corners: Table, *, camera: options.CameraFile, board: str, square: float) -> None:

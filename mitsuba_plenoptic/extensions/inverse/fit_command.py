@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ... import choices
-from ...cli import inputs, options, stopping
+from ...cli import inputs, options, options_of, stopping
 from ...errors import InputError, refuse_if
 from ...runtime import progress_bar
 
@@ -33,8 +33,7 @@ def fit(
     wavelength: options.Wavelength | None = None,
     points_per_lens: int = 64,
     from_afar: bool = False,
-    model: choices.Model = "wave",
-    accuracy: float = 0.0,
+    light: Annotated[dict[str, Any], options_of("extensions.inverse.capture_fit:fit", "model", "accuracy")],
     resume: options.Resume = False,
     unit: choices.Unit = "mm",
     define: options.Definitions = None,
@@ -68,10 +67,6 @@ def fit(
         Points of the scene's surfaces for each microlens.
     from_afar
         Fit coarsely first, by rays and blurred captures: lengths some percent off.
-    model
-        How light propagates; the ray model has no diffraction.
-    accuracy
-        Tolerated error of the wave model, for speed; 0: none.
 
     Examples
     --------
@@ -144,8 +139,7 @@ def fit(
                 parameter,
                 wavelength=wavelength_of_all,
                 photons=photons,
-                model=model,
-                accuracy=accuracy,
+                **light,
                 progress=progress,
                 checkpoint=steps,
             )

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ... import choices
 from ...cli import inputs, options
-from ...refocus_options import with_parameters
 
 
-@partial(with_parameters, parameters=options.PICTURE)
 def dual(
     capture: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in(*choices.PICTURES)],
     layout: Literal["2x1", "1x2", "2x2"] = "2x1",
-    **brightness: Any,
+    picture: options.Picture,
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
 
@@ -48,7 +45,7 @@ def dual(
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
-    drawing = inputs.drawing_of(brightness, output)
+    drawing = inputs.drawing_of(picture, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])

@@ -5,38 +5,18 @@ from __future__ import annotations
 import contextlib
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ...cli import inputs, options, options_of, stopping
 from ...errors import naming, refuse_if, refusing, require_choice, require_known, short_repr
-from ...refocus_options import with_parameters
 from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .flows import Flow
 
 
-_SEEDING = options_of("extensions.particles.seeding:Seeding")
-_SEQUENCE = options_of("extensions.particles.sequence:particle_sequence", "interval", "frames", "seed")
-_SHEET = options_of(
-    "extensions.particles.seeding:LightSheet",
-    "direction",
-    "thickness",
-    direction={"default": "1,0,0", "metavar": "X,Y,Z"},
-)
-_IMAGES = options_of(
-    "extensions.particles.particle_images:ParticleImages",
-    "wavelength",
-    "model",
-    "accuracy",
-    wavelength={"default": 550.0},
-)
-
-
-@partial(with_parameters, parameters=_SEQUENCE | _SEEDING | _SHEET | _IMAGES)
 def particles(
     *,
     output: options.OutputFolder,
@@ -45,7 +25,16 @@ def particles(
     camera: options.CameraFile | None = None,
     photons: float | None = None,
     resume: options.Resume = False,
-    **settings: Any,
+    sequence: Annotated[
+        dict[str, Any], options_of("extensions.particles.sequence:particle_sequence", "interval", "frames", "seed")
+    ],
+    seeding: Annotated[dict[str, Any], options_of("extensions.particles.seeding:Seeding")],
+    direction: str = "1,0,0",
+    thickness: float | None = None,
+    light: Annotated[
+        dict[str, Any], options_of("extensions.particles.particle_images:ParticleImages", "model", "accuracy")
+    ],
+    wavelength: options.Wavelength = 550.0,
 ) -> None:
     """Capture particles in a flow at several times, with their exact displacements.
 
@@ -60,6 +49,12 @@ def particles(
     flow : NAME[:KEY=VALUE,...]
         The flow: uniform, shear, taylor_green, lamb_oseen, hill, or file:FILE.nc; its parameters, such as
         hill:speed=4,radius=5, in mm and mm/s; its centre=X/Y/Z is that of the volume by default.
+    direction : X,Y,Z
+        Direction in which the light of the sheet travels.
+    thickness
+        Thickness in millimetres of the light sheet, across the axis. Default: light everywhere.
+    wavelength
+        Wavelength in vacuum, in nanometres.
     photons
         Record with noise: photons of a mean particle through the pupil. Default: without noise.
 
@@ -77,23 +72,23 @@ def particles(
 
     corners = _numbers("volume", volume, 6)
     box = ParticleVolume(corners[:3], corners[3:])
-    settings["direction"] = _numbers("direction", settings["direction"], 3)
     truth = particle_sequence(
         inputs.named_camera(camera) or PlenopticCamera(),
         box,
-        Seeding(**{name: settings[name] for name in _SEEDING}),
+        Seeding(**seeding),
         _flow(flow, FLOWS, box.centre),
-        sheet=LightSheet(**{name: settings[name] for name in _SHEET}),
-        **{name: settings[name] for name in _SEQUENCE},
+        sheet=LightSheet(_numbers("direction", direction, 3), thickness),
+        **sequence,
     )
-    images = ParticleImages(truth, **{name: settings[name] for name in _IMAGES})
+    images = ParticleImages(truth, wavelength=wavelength, **light)
     with refusing(f"{output}: no folder can be made there", OSError):
         output.mkdir(parents=True, exist_ok=True)
     path = output / "particles.nc"
     write_labelled_data(path, truth)
     lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
     typer.echo(f"{path}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
-    model, frames = settings["model"], settings["frames"]
+    model = light["model"]
+    frames = sequence["frames"]
     for frame in range(frames):
         path = output / f"{model}_{frame:04d}.exr"
         with stopping.checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
@@ -101,7 +96,7 @@ def particles(
             with stopping.resumable(progress, saved):
                 capture = images.capture(frame, progress=progress, checkpoint=saved)
             if photons is not None:
-                capture = expose(capture, Detector(), photons=photons, seed=settings["seed"] + frame)
+                capture = expose(capture, Detector(), photons=photons, seed=sequence["seed"] + frame)
             write_capture(path, capture)
         typer.echo(f"{path}: capture by {model}s at {float(truth['time'][frame]):g} s")
 
