@@ -121,17 +121,12 @@ def load(name: str) -> Any:
 
     module = COMMANDS[name]
     command = getattr(importlib.import_module(module), name.split()[-1])
-
     options = documented(command, module)
 
     @functools.wraps(command)
     def called(quiet: bool, verbose: bool, **values: Any) -> None:
-        command(
-            **{
-                name: values[name] if name in several else {option: values[option] for option in several}
-                for name, several in options.items()
-            }
-        )
+        taken_by = {name: {option: values[option] for option in several} for name, several in options.items()}
+        command(**{name: several.get(name, several) for name, several in taken_by.items()})
 
     parameters = [parameter for several in options.values() for parameter in several.values()]
     called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
