@@ -54,9 +54,9 @@ class Extension:
         places of the objects. Those of shipped extensions stand in ``mitsuba_plenoptic/__init__.pyi``.
     modules : mapping of str to str
         Public modules of `mitsuba_plenoptic`, such as ``torch``, and the modules that they are.
-    commands : mapping of str to pair of str
-        Commands of ``mitsuba-plenoptic``, the modules with a function of their name, and the first sentence of their
-        help.
+    commands : mapping of str to str
+        Commands of ``mitsuba-plenoptic``, and the modules with a function of the last word of their name. Of a group
+        of commands, whose first word is the same, the module's docstring is the help.
     parameters : mapping of str to str
         Parameters of the camera, and the places of their entries, of type `camera.entry.Parameter`.
     responses : mapping of str to str
@@ -89,7 +89,7 @@ class Extension:
 
     names: Mapping[str, str] = field(default_factory=dict)
     modules: Mapping[str, str] = field(default_factory=dict)
-    commands: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    commands: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, str] = field(default_factory=dict)
     responses: Mapping[str, str] = field(default_factory=dict)
     presets: Mapping[str, str] = field(default_factory=dict)

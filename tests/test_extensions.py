@@ -38,8 +38,8 @@ def test_all_that_records_name_is_there():
             for text in getattr(record, kind).values():
                 module, _, name = text.partition(":")
                 assert hasattr(importlib.import_module(f"{package}.{module}"), name)
-        for name, (module, _) in record.commands.items():
-            assert hasattr(importlib.import_module(f"{package}.{module}"), name)
+        for name, module in record.commands.items():
+            assert hasattr(importlib.import_module(f"{package}.{module}"), name.split()[-1])
 
 
 def test_the_list_of_what_extensions_add_is_complete():
@@ -47,7 +47,8 @@ def test_the_list_of_what_extensions_add_is_complete():
     added = {name: set() for name in SHIPPED}
     for package, record in installed().items():
         for kind in {*Extension.__dataclass_fields__} - {"responses", "displays"}:
-            added[package.rpartition(".")[2]] |= {*getattr(record, kind)}
+            names = {name.split()[0] if kind == "commands" else name for name in getattr(record, kind)}
+            added[package.rpartition(".")[2]] |= names
     for line in (PACKAGE / "__init__.pyi").read_text().splitlines():
         if found := re.match(r"from \.extensions\.(\w+).* import (\w+) as \2$", line):
             added[found[1]].add(found[2])

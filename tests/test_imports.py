@@ -38,11 +38,11 @@ def test_the_package_imports_only_what_registers_its_plugins():
 
 
 def test_the_help_lists_every_command_with_its_first_sentence(capsys):
-    assert mitsuba_plenoptic.cli.main(["--help"]) == 0
-    page = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for name, (_, line) in mitsuba_plenoptic.cli.COMMANDS.items():
-        assert f" {name} {line}" in page
-        assert mitsuba_plenoptic.cli.load(name).help.startswith(line)
+    for name in mitsuba_plenoptic.cli.COMMANDS:
+        *group, word = name.split()
+        assert mitsuba_plenoptic.cli.main([*group, "--help"]) == 0
+        page = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert " ".join([word, *mitsuba_plenoptic.cli.load(name).help.partition("\n\n")[0].split()]) in page
 
 
 def test_public_names_are_found_when_they_are_asked_for():

@@ -13,8 +13,8 @@ import numpy as np
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import fit_white
-from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
+from mitsuba_plenoptic.extensions.calibrate.white_result import sensor_values
 from mitsuba_plenoptic.extensions.prediction.real_page import pictures, planes_of
 from mitsuba_plenoptic.extensions.prediction.study import LIGHTS, Pictures, Study
 from mitsuba_plenoptic.io.cache import Cache

@@ -8,3 +8,4 @@ from .program import PROGRAM as PROGRAM
 from .program import command_group as command_group
 from .program import load as load
 from .program import main as main
+from .signatures import options_of as options_of

@@ -2,117 +2,78 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ..choices import Against
-from ..errors import InputError, refuse_if, require_count, require_number
+from ..choices import Against, Unit
+from ..errors import InputError, refuse_if, require_count
 from ..extension import hook
+from . import options
 from .inputs import COLOURS, camera_instead, colours_of_film, named_camera, parse_definitions
-from .options import (
-    EXISTING,
-    SCENE,
-    VARIANT,
-    CameraFile,
-    Definitions,
-    OutputFolder,
-    Resume,
-    Unit,
-    distances,
-    numeric,
-    wavelength_option,
-)
 from .stopping import stage_lines
 
 
 def compare(
-    output: OutputFolder,
-    scene: Annotated[
-        str | None,
-        typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", show_default=False, callback=SCENE),
-    ] = None,
-    distance: Annotated[list[float] | None, distances(positive=True, finite=False)] = None,
-    wavelength: Annotated[float | None, wavelength_option("633; --real needs the one of its light")] = None,
-    spp: Annotated[int, numeric("Samples per pixel, by rays and by waves.", check=require_count)] = 16,
-    methods: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME,...",
-            help="What both captures are refocused by, and rays; the last two take most of the time. A further one, "
-            "limit, propagates one lens at a time, takes longest, and shows what interference between lenses adds.",
-        ),
-    ] = "ray,coherent,partial,incoherent,deconvolved",
-    against: Annotated[
-        Against | None,
-        typer.Option(
-            help="Also show what the camera sees without its microlens array, in focus at the first distance, and the "
-            "sharpness of both.",
-        ),
-    ] = None,
-    real: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LIGHTFIELD",
-            help="Light field of a real camera with a thin lens or an objective, instead of a scene: planes are found "
-            "from part of its pixels, and predict the others, by rays and by waves. --camera is the camera as known.",
-            callback=EXISTING,
-        ),
-    ] = None,
-    white: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="With --real: picture of something evenly white.", callback=EXISTING),
-    ] = None,
-    dark: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With --real: picture without light.", callback=EXISTING)
-    ] = None,
-    plane: Annotated[
-        list[float] | None,
-        numeric(
-            "With --real: distance of a plane of the scene; repeat for several.",
-            "found by a search; all behind an objective",
-            unit="MM",
-            check=require_number,
-        ),
-    ] = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LEFT,TOP,RIGHT,BOTTOM",
-            show_default="the middle quarter",
-            help="With --real: part of the picture, such as 0.5,0.5,1,1.",
-        ),
-    ] = None,
-    resume: Resume = False,
-    camera: CameraFile = None,
+    scene: Annotated[str, options.SCENE] | None = None,
+    *,
+    output: options.OutputFolder,
+    distance: list[options.PositiveOrInfinite] | None = None,
+    wavelength: options.Wavelength | None = None,
+    spp: options.Count = 16,
+    methods: str = "ray,coherent,partial,incoherent,deconvolved",
+    against: Against | None = None,
+    real: options.Existing | None = None,
+    white: options.Existing | None = None,
+    dark: options.Existing | None = None,
+    plane: list[options.Number] | None = None,
+    part: str | None = None,
+    resume: options.Resume = False,
+    camera: options.CameraFile | None = None,
     unit: Unit = "mm",
-    define: Definitions = None,
-    variant: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
-            help="Mitsuba variant of one colour or in rgb, for example cuda_ad_mono.",
-            callback=VARIANT,
-        ),
-    ] = None,
+    define: options.Definitions = None,
+    variant: options.Variant | None = None,
 ) -> None:
     """Capture a scene by rays and by waves, refocus it by every method, and compare.
 
     Writes figures, captures, reconstructions and all results, with a report.html that shows them in a browser. Both
     captures have the same main lens, which the scene's lens_model states. A run that was stopped resumes where it was.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    wavelength : NM
+        Of waves: wavelength in nanometres. Default: 633; --real needs the one of its light.
+    spp
+        Samples per pixel, by rays and by waves.
+    methods : NAME,...
+        What both captures are refocused by, and rays; the last two take most of the time. A further one, limit,
+        propagates one lens at a time, takes longest, and shows what interference between lenses adds.
+    against
+        Also show what the camera sees without its microlens array, in focus at the first distance, and the sharpness
+        of both.
+    real : LIGHTFIELD
+        Light field of a real camera with a thin lens or an objective, instead of a scene: planes are found from part
+        of its pixels, and predict the others, by rays and by waves. --camera is the camera as known.
+    white : FILE
+        With --real: picture of something evenly white.
+    dark : FILE
+        With --real: picture without light.
+    plane : MM
+        With --real: distance of a plane of the scene; repeat for several. Default: found by a search; all behind an
+        objective.
+    part : LEFT,TOP,RIGHT,BOTTOM
+        With --real: part of the picture, such as 0.5,0.5,1,1. Default: the middle quarter.
+    variant : NAME
+        Mitsuba variant of one colour or in rgb, for example cuda_ad_mono. Default: llvm_ad_rgb if the film records
+        rgb, else llvm_ad_mono.
 
-      mitsuba-plenoptic compare chart -o chart --distance 210 --distance 240
-
-      mitsuba-plenoptic compare still_life -o still_life --distance 215
+    Examples
+    --------
+    $ mitsuba-plenoptic compare chart -o chart --distance 210 --distance 240
+    $ mitsuba-plenoptic compare still_life -o still_life --distance 215
       --distance 258 -D resolution=2048 -D detector_width=4.096
-
-      mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
-
-      mitsuba-plenoptic compare --real leg.png --white white.png --dark dark.tif
+    $ mitsuba-plenoptic compare my_scene.xml -o out --camera lytro --distance 300
+    $ mitsuba-plenoptic compare --real leg.png --white white.png --dark dark.tif
       --camera lfm_water --wavelength 510 -o leg
     """
     if real is not None:

@@ -9,23 +9,29 @@ from typing import Annotated
 import typer
 
 from ..choices import Example
-from .options import output_option
+from . import options
 
 
 def example(
-    name: Annotated[Example, typer.Argument(help="Which capture.")],
-    output: Annotated[
-        Path | None, output_option("FILE.exr", "File to write. Default: named as the capture.", ".exr")
-    ] = None,
+    name: Example,
+    *,
+    output: Annotated[Path, options.ends_in(".exr")] | None = None,
 ) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.
 
-    All are by one camera of 48 x 48 microlenses. The letters are at 210, 240
-    and 280 mm; white is a luminous wall, for [bold]--white[/bold].
+    All are by one camera of 48 x 48 microlenses. The letters are at 210, 240 and 280 mm; white is a luminous wall, for
+    [bold]--white[/bold].
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    name
+        Which capture.
+    output : FILE.exr
+        File to write. Default: named as the capture.
 
-      mitsuba-plenoptic example letters-wave -o wave.exr
+    Examples
+    --------
+    $ mitsuba-plenoptic example letters-wave -o wave.exr
     """
     from ..io import TRUTH_NAME, examples, truth_path, write_capture, write_ground_truth
     from ..runtime import require_writable

@@ -116,7 +116,7 @@ def light_field(
     camera: PlenopticCamera | None,
     truth: Path | bool = False,
 ) -> xr.DataArray:
-    """Return the light field that a command reads, by its options `LIGHT_FIELD`."""
+    """Return the light field that a command reads, by its options `LightField`."""
     from ..views import open_light_field
 
     return open_light_field(
@@ -139,7 +139,7 @@ def require_png(dpi: int | None, *paths: Path | None) -> None:
 
 
 def drawing_of(options: Mapping[str, Any], *paths: Path | None) -> images.Drawing:
-    """Return the settings for drawn pictures, the options `PICTURE`; refuse them where the output is not a picture."""
+    """Return the settings for drawn pictures, the options `Picture`; refuse them where the output is not a picture."""
     from ..report import images
 
     outputs = [path for path in paths if path is not None]

@@ -3,65 +3,53 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ..choices import ANIMATED, LIGHT_FIELDS, PICTURES, Axis
-from ..errors import naming, refuse_if, require_number, require_suffix, warn
-from ..refocus_options import with_parameters
+from ..errors import naming, refuse_if, require_suffix, warn
 from ..runtime import progress_bar
+from . import options
 from .inputs import drawing_of, light_field, named_camera, require_in_sight
-from .options import (
-    LIGHT_FIELD,
-    PICTURE,
-    LightFieldSource,
-    Truth,
-    distances,
-    numeric,
-    output_option,
-)
 
 
-@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def views(
-    source: LightFieldSource,
-    output: Annotated[
-        Path,
-        output_option(
-            "FILE",
-            "File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled "
-            "grid if in .pdf, a tour round the pupil if in .gif.",
-            *PICTURES,
-            *ANIMATED,
-        ),
-    ],
-    count: Annotated[int | None, numeric("Write N x N views, evenly spread over the pupil.", "all")] = None,
-    truth: Truth = None,
-    **options: Any,
+    source: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in(*PICTURES, *ANIMATED)],
+    count: int | None = None,
+    truth: options.Existing | None = None,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Show the scene from many positions on the main lens.
 
     Each view is an image with one pixel per microlens, as a camera with a small aperture at that position would take
     it. The mosaic arranges the views as they lie on the pupil, seen from behind the camera, the upper left first.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: OpenEXR with a part for each view if it ends in .exr, a mosaic if in .png, a labelled grid if
+        in .pdf, a tour round the pupil if in .gif.
+    count
+        Write N x N views, evenly spread over the pupil. Default: all.
 
-      mitsuba-plenoptic views raw.exr -o views.png --count 5
-
-      mitsuba-plenoptic views raw.exr -o centre.png --count 1
-
-      mitsuba-plenoptic views raw.exr -o orbit.gif
+    Examples
+    --------
+    $ mitsuba-plenoptic views raw.exr -o views.png --count 5
+    $ mitsuba-plenoptic views raw.exr -o centre.png --count 1
+    $ mitsuba-plenoptic views raw.exr -o orbit.gif
     """
     from ..report import require_picture_path, write_orbit, write_views
     from ..runtime import require_apart
     from ..views import pick_views
 
-    require_apart(require_picture_path(output, animated=True), source, options["white"], truth)
-    drawing = drawing_of(options, output)
-    lf = light_field(source, options, named_camera(options["camera"]), truth or True)
+    require_apart(require_picture_path(output, animated=True), source, light["white"], truth)
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if count is not None:
         lf = pick_views(lf, count)
     if output.suffix.lower() in ANIMATED:
@@ -72,92 +60,81 @@ def views(
     typer.echo(f"{output}: {lf.sizes['u']} x {lf.sizes['v']} views of {lf.sizes['s']} x {lf.sizes['t']} pixels")
 
 
-@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def epi(
-    source: LightFieldSource,
-    output: Annotated[Path, output_option("FILE", "File to write: .exr, .png, or .pdf with axes.", *PICTURES)],
-    axis: Annotated[Axis, typer.Option(help="Direction of the line.")] = "horizontal",
-    at: Annotated[
-        float | None,
-        numeric(
-            "Position of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.",
-            "nearest to the axis",
-            unit="MM",
-        ),
-    ] = None,
-    through: Annotated[
-        float | None,
-        numeric(
-            "Position on the pupil: y (up) of a horizontal, x (left) of a vertical line.",
-            "nearest to the middle",
-            unit="MM",
-        ),
-    ] = None,
-    **options: Any,
+    source: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in(*PICTURES)],
+    axis: Axis = "horizontal",
+    at: float | None = None,
+    through: float | None = None,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Show one line of the scene from every view along the same direction.
 
     A point of the scene draws a line: upright in focus, slanted by its depth.
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: .exr, .png, or .pdf with axes.
+    axis
+        Direction of the line.
+    at : MM
+        Position of the line in the object plane in focus: y (up) of a horizontal, x (left) of a vertical one.
+        Default: nearest to the axis.
+    through : MM
+        Position on the pupil: y (up) of a horizontal, x (left) of a vertical line. Default: nearest to the middle.
 
-      mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
+    Examples
+    --------
+    $ mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
     from ..report import require_picture_path, write_epipolar_image
     from ..runtime import require_apart
     from ..views import epipolar_image
 
-    require_apart(require_picture_path(output), source, options["white"])
-    drawing = drawing_of(options, output)
-    lf = light_field(source, options, named_camera(options["camera"]))
+    require_apart(require_picture_path(output), source, light["white"])
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, named_camera(light["camera"]))
     image = epipolar_image(lf, axis, at=at, through=through)
     write_epipolar_image(output, image, drawing)
     rows, columns = image.shape[:2]
     typer.echo(f"{output}: {rows} views of {columns} pixels")
 
 
-@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def stack(
-    source: LightFieldSource,
-    output: Annotated[
-        Path,
-        output_option(
-            "FILE",
-            "File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if "
-            "in .png, a labelled figure if in .pdf, a focal sweep between the distances if in .gif.",
-            *PICTURES,
-            *ANIMATED,
-        ),
-    ],
-    distance: Annotated[list[float] | None, distances(finite=False)] = None,
-    disparity: Annotated[
-        list[float] | None,
-        numeric(
-            "Instead: pixels that points in focus move from view to view, negative nearer; no camera needed.",
-            unit="PIXELS",
-            check=require_number,
-        ),
-    ] = None,
-    **options: Any,
+    source: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in(*PICTURES, *ANIMATED)],
+    distance: options.Distances | None = None,
+    disparity: list[options.Number] | None = None,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Make a focal stack: one image for each distance, in focus there.
 
-    The capture is decoded into views, which are moved against each other and
-    added. All images have the same size, one pixel per microlens.
-    'reconstruct' refocuses the capture itself, by rays and by waves.
+    The capture is decoded into views, which are moved against each other and added. All images have the same size, one
+    pixel per microlens. 'reconstruct' refocuses the capture itself, by rays and by waves.
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: OpenEXR with a part for each distance if it ends in .exr, pictures side by side if in .png, a
+        labelled figure if in .pdf, a focal sweep between the distances if in .gif.
+    disparity : PIXELS
+        Instead: pixels that points in focus move from view to view, negative nearer; no camera needed.
 
-      mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
-
-      mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
-
-      mitsuba-plenoptic stack field.mat -o stack.png --disparity -0.5 --disparity 0.5
+    Examples
+    --------
+    $ mitsuba-plenoptic stack raw.exr -o stack.exr --distance 210 --distance 240 --distance 280
+    $ mitsuba-plenoptic stack raw.exr -o sweep.gif --distance 200 --distance 300
+    $ mitsuba-plenoptic stack field.mat -o stack.png --disparity -0.5 --disparity 0.5
     """
     if not distance and not disparity:
         raise typer.BadParameter("give at least one, or a disparity", param_hint="--distance")
     refuse_if(distance and disparity, "--distance, --disparity: give one of the two")
-    camera_of_option = require_in_sight(source, named_camera(options["camera"]), *(distance or []))
+    camera_of_option = require_in_sight(source, named_camera(light["camera"]), *(distance or []))
     by, planes = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
@@ -165,9 +142,9 @@ def stack(
     from ..runtime import require_apart
     from ..views import focal_stack
 
-    require_apart(require_picture_path(output, animated=True), source, options["white"])
-    drawing = drawing_of(options, output)
-    lf = light_field(source, options, camera_of_option)
+    require_apart(require_picture_path(output, animated=True), source, light["white"])
+    drawing = drawing_of(picture, output)
+    lf = light_field(source, light, camera_of_option)
     animated = output.suffix.lower() in ANIMATED
     with progress_bar("Refocusing") as progress:
         images = focal_stack(lf, sweep_distances(planes, by) if animated else planes, by=by, progress=progress)
@@ -184,38 +161,16 @@ _LITTLE = 0.1
 """Fraction of the bins with a confidence above half, below which a user is warned."""
 
 
-@partial(with_parameters, parameters=LIGHT_FIELD | PICTURE)
 def depth(
-    source: LightFieldSource,
-    output: Annotated[
-        Path,
-        output_option(
-            "FILE",
-            "File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; "
-            "if in .png pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf "
-            "these with their scales.",
-            *PICTURES,
-        ),
-    ],
-    near: Annotated[
-        float | None,
-        numeric(
-            "Nearest distance to search, or least disparity.",
-            "as the file states, or as near as depth shows",
-            unit="MM",
-        ),
-    ] = None,
-    far: Annotated[
-        float | None,
-        numeric(
-            "Farthest distance to search, or greatest disparity.",
-            "as the file states, or as far as depth shows",
-            unit="MM",
-        ),
-    ] = None,
-    planes: Annotated[int | None, numeric("Number of distances to try.", "64, more for a wide search")] = None,
-    truth: Truth = None,
-    **options: Any,
+    source: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in(*PICTURES)],
+    near: float | None = None,
+    far: float | None = None,
+    planes: int | None = None,
+    truth: options.Existing | None = None,
+    light: options.LightField,
+    picture: options.Picture,
 ) -> None:
     """Estimate depth, and an image in focus everywhere, from how views agree.
 
@@ -224,21 +179,34 @@ def depth(
     ground truth, the error of the depth is printed. Light fields of other programs without a camera give disparities:
     pixels that a point moves along the index from view to view, negative nearer than the plane in focus.
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: OpenEXR with the parts depth, disparity, confidence and image if it ends in .exr; if in .png
+        pictures of the all-in-focus image, the depth (near is white) and the confidence; if in .pdf these with their
+        scales.
+    near : MM
+        Nearest distance to search, or least disparity. Default: as the file states, or as near as depth shows.
+    far : MM
+        Farthest distance to search, or greatest disparity. Default: as the file states, or as far as depth shows.
+    planes
+        Number of distances to try. Default: 64, more for a wide search.
 
-      mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
+    Examples
+    --------
+    $ mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
     from ..report import require_picture_path, write_depth
     from ..runtime import require_apart
     from ..views import beyond_search, depth_error, depth_map, is_focused, open_micro_images
 
-    require_apart(require_picture_path(output), source, options["white"], truth)
-    drawing = drawing_of(options, output)
-    camera_of_option = named_camera(options["camera"])
-    lf = light_field(source, options, camera_of_option, truth or True)
+    require_apart(require_picture_path(output), source, light["white"], truth)
+    drawing = drawing_of(picture, output)
+    camera_of_option = named_camera(light["camera"])
+    lf = light_field(source, light, camera_of_option, truth or True)
     images = None
     if is_focused(lf):
-        images = open_micro_images(source, white=options["white"], linear=options["linear"], camera=camera_of_option)
+        images = open_micro_images(source, white=light["white"], linear=light["linear"], camera=camera_of_option)
     with progress_bar("Comparing views") as progress:
         estimate = depth_map(lf, near, far, micro_images=images, planes=planes, progress=progress)
     write_depth(output, estimate, drawing)
@@ -275,57 +243,48 @@ def depth(
         )
 
 
-@partial(with_parameters, parameters=LIGHT_FIELD)
 def convert(
-    source: LightFieldSource,
-    output: Annotated[
-        Path,
-        output_option(
-            "FILE",
-            "File to write: .nc or .zarr for NetCDF or Zarr, .mat for LFToolbox, .eslf.png for the samples of each "
-            "lens together, .png for a 16-bit mosaic of views. With --format hci a folder.",
-        ),
-    ],
-    layout: Annotated[
-        Literal["hci"] | None,
-        typer.Option(
-            "--format",
-            show_default="by the output's name",
-            help="Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the "
-            "geometry, and depth where ground truth is known.",
-        ),
-    ] = None,
-    truth: Truth = None,
-    **options: Any,
+    source: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in()],
+    format: Literal["hci"] | None = None,
+    truth: options.Existing | None = None,
+    light: options.LightField,
 ) -> None:
     """Decode a capture into a light field, or change a light field's format.
 
     NetCDF and Zarr keep the whole light field, with axes, weights and camera, for xarray and for the other commands.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: .nc or .zarr for NetCDF or Zarr, .mat for LFToolbox, .eslf.png for the samples of each lens
+        together, .png for a 16-bit mosaic of views. With --format hci a folder.
+    format
+        Write a folder as those of the 4D Light Field Benchmark (HCI): a picture for each view, the geometry, and
+        depth where ground truth is known. Default: by the output's name.
 
-      mitsuba-plenoptic convert raw.exr -o lf.nc
-
-      mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
-
-      mitsuba-plenoptic convert raw.exr -o folder --format hci
-
-      mitsuba-plenoptic convert folder -o lf.nc
+    Examples
+    --------
+    $ mitsuba-plenoptic convert raw.exr -o lf.nc
+    $ mitsuba-plenoptic convert photo.png --white white.png -o lf.mat
+    $ mitsuba-plenoptic convert raw.exr -o folder --format hci
+    $ mitsuba-plenoptic convert folder -o lf.nc
     """
-    if layout is None:
+    if format is None:
         require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
     from ..runtime import require_apart
     from ..views import HCI, require_light_field_path, save_light_field
 
     writer = None
-    if layout is None:
+    if format is None:
         require_light_field_path(output)
     else:
-        writer = format_of(HCI, "light field", f"format = {layout}", write=True)
+        writer = format_of(HCI, "light field", f"format = {format}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
-    require_apart(output, source, options["white"], truth)
-    lf = light_field(source, options, named_camera(options["camera"]), truth or True)
+    require_apart(output, source, light["white"], truth)
+    lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if writer is not None:
         depth_of_views = lf.coords.get("virtual_depth", lf.coords.get("depth"))
         central = None if depth_of_views is None else depth_of_views.values[lf.sizes["v"] // 2, lf.sizes["u"] // 2]

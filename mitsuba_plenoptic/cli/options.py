@@ -1,4 +1,61 @@
-"""Options that several commands have, with checks that refuse wrong values before the library is imported."""
+"""Options that several commands have, with checks that refuse wrong values before the library is imported.
+
+Parameters
+----------
+scene
+    A Mitsuba XML file, or the name of a built-in scene.
+capture : CAPTURE.exr
+    A file that 'render' wrote.
+source : SOURCE
+    A capture (.exr), a light field (.nc, .zarr, LFToolbox's .mat, or a folder of HCI), a mosaic (.png with
+    --view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or .tiff,
+    with --white or --camera).
+output : DIR
+    Folder to write into; made if it is not there.
+distance
+    Distance in millimetres from the main lens to focus on, beyond its focal length; repeat for several.
+wavelength
+    Of waves: wavelength in nanometres.
+variant : NAME
+    Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono. Default: llvm_ad_mono.
+model
+    How light propagates through the camera. Default: as the scene's integrator has it.
+spp
+    Samples per pixel. Default: those of the scene's sampler.
+seed
+    Seed of the random numbers.
+workers
+    Of wave captures, deconvolved and data sets: number of processes of this machine; the bits are the same. Default:
+    threads of one process.
+scheduler : ADDRESS
+    The same: workers of this Dask scheduler, for example tcp://10.0.0.1:8786, which must see files under the same
+    names.
+unit
+    Unit of the scene's lengths, which are scaled to millimetres; not the camera's.
+white : FILE
+    White image of the same camera, .exr, .png or .tiff, by which images are divided. For a raw picture it shows where
+    the micro-images are. Default: computed from the camera.
+truth : FILE.truth.exr
+    Ground truth of the capture. Default: the one next to the capture, if 'render --aov' wrote it.
+view_count
+    For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.
+linear
+    Pictures hold values proportional to light, as raw data does, instead of sRGB.
+exposure : STOPS
+    Of pictures: the value 2^-STOPS becomes white, so that pictures of several runs compare.
+percentile : PERCENT
+    Of pictures: the value that this percentage does not surpass becomes white; 100: the brightest. Default: 99.5, less
+    where a lamp would make the rest black.
+scale
+    Of plain pictures: pixels that a bin is wide. Default: as many as fit in 960 pixels, at least 1; in 480 for .gif.
+figure
+    Make a .png a labelled figure for papers, with colour bar and scale bars, as a .pdf always is.
+dpi
+    Make a .png a labelled figure of so many dots per inch. Default: 300 for figures.
+resume
+    Refuse what another run has left at the output, instead of replacing it; the same command goes on from what it has
+    left itself with and without this.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +66,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .. import choices
 from ..errors import (
     SCENE_XML,
     InputError,
@@ -65,41 +121,6 @@ def ends_in(*suffixes: str, is_folder: bool = False) -> Callable[..., Any]:
     return callback
 
 
-def output_option(metavar: str, text: str, *suffixes: str, is_folder: bool = False) -> Any:
-    """Return the option ``-o`` of a command that writes a file that ends in one of the suffixes, or a folder."""
-    callback = ends_in(*suffixes, is_folder=is_folder)
-    return typer.Option("-o", "--output", metavar=metavar, help=text, callback=callback)
-
-
-def numeric(
-    text: str,
-    default: str | None = None,
-    *,
-    unit: str = "N",
-    panel: str | None = None,
-    check: Callable[[str, Any], object] | None = None,
-) -> Any:
-    """Return an option that takes a number; help shows `default` where the parameter's default is None."""
-    return typer.Option(
-        metavar=unit,
-        show_default=default or True,
-        help=text,
-        rich_help_panel=panel,
-        callback=check and checked(check),
-    )
-
-
-def wavelength_option(default: str | None, panel: str | None = None) -> Any:
-    """Return an option that takes a wavelength; help shows `default` where the parameter's default is None."""
-    return numeric(
-        "Of waves: wavelength in nanometres.",
-        default,
-        unit="NM",
-        panel=panel,
-        check=lambda name, value: require_wavelength(value, name),
-    )
-
-
 def nanometres_of_channels(name: str, text: str) -> None:
     """Refuse a text that is neither a wavelength nor several."""
     with refusing(
@@ -110,14 +131,15 @@ def nanometres_of_channels(name: str, text: str) -> None:
         require_wavelength(wavelength, name)
 
 
-def _require_file(name: str, path: Path) -> None:
+def require_file(name: str, path: Path) -> None:
+    """Refuse a path at which nothing is."""
     refuse_if(not path.exists(), f"{path}: there is no such file")
 
 
 def _require_recording(name: str, path: Path) -> None:
     scene = content_of(path) == SCENE_XML if path.exists() else str(path) in scene_names()
     refuse_if(scene, f"{path}: it is a scene: give what 'render' made of it")
-    _require_file(name, path)
+    require_file(name, path)
 
 
 def assigned(option: str, form: str) -> Callable[..., Any]:
@@ -147,20 +169,36 @@ def require_camera_name(name: str, source: str) -> None:
         )
 
 
-EXISTING = checked(_require_file)
+EXISTING = checked(require_file)
 RECORDING = checked(_require_recording)
 CAMERA = checked(require_camera_name)
 SCENE = checked(lambda _, scene: Path(scene).is_file() or scene_path(scene))
 VARIANT = checked(_require_variant)
 """Callbacks of options that name a file, a file that is no scene, a camera, a scene, and a variant of Mitsuba."""
 
-Scene = Annotated[str, typer.Argument(help="A Mitsuba XML file, or the name of a built-in scene.", callback=SCENE)]
+Scene = Annotated[str, SCENE]
+CaptureFile = Annotated[Path, RECORDING]
+OutputFolder = Annotated[Path, ends_in(is_folder=True)]
+Existing = Annotated[Path, EXISTING]
+Count = Annotated[int, checked(require_count)]
+Number = Annotated[float, checked(require_number)]
+Positive = Annotated[float, checked(partial(require_number, positive=True))]
+PositiveOrInfinite = Annotated[float, checked(partial(require_number, positive=True, finite=False))]
+Distances = Annotated[list[float], checked(partial(require_number, finite=False))]
+Wavelength = Annotated[float, checked(lambda name, value: require_wavelength(value, name))]
+Variant = Annotated[str, VARIANT, EXPERT]
+Seed = Annotated[int, checked(partial(require_count, minimum=0))]
+Workers = Annotated[int, EXPERT]
+Scheduler = Annotated[str, EXPERT]
+Dpi = Annotated[int, checked(partial(require_count, minimum=20, maximum=2400))]
+Resume = Annotated[bool, EXPERT]
+"""Types of options with their checks, and panels of the help."""
 
-CaptureFile = Annotated[
-    Path, typer.Argument(metavar="CAPTURE.exr", help="A file that 'render' wrote.", callback=RECORDING)
-]
-
-OutputFolder = Annotated[Path, output_option("DIR", "Folder to write into; made if it is not there.", is_folder=True)]
+if TYPE_CHECKING:
+    Method = str
+else:
+    Method = Literal[method_names()]
+    """A method of reconstruction, of the core or of an installed extension."""
 
 Definitions = Annotated[
     list[str] | None,
@@ -173,67 +211,14 @@ Definitions = Annotated[
     ),
 ]
 
-
-def distances(*, positive: bool = False, finite: bool = True) -> Any:
-    """Return the option ``--distance`` of commands that refocus to several, with bounds of `require_number`."""
-    return numeric(
-        "Distance from the main lens to focus on, beyond its focal length; repeat for several.",
-        unit="MM",
-        check=partial(require_number, positive=positive, finite=finite),
-    )
-
-
-Variant = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        show_default="llvm_ad_mono",
-        help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
-        rich_help_panel=EXPERT,
-        callback=VARIANT,
-    ),
-]
-
-Model = Annotated[
-    choices.Model | None,
-    typer.Option(show_default="as the scene's integrator has it", help="How light propagates through the camera."),
-]
-
-if TYPE_CHECKING:
-    Method = str
-else:
-    Method = Literal[method_names()]
-    """A method of reconstruction, of the core or of an installed extension."""
-
-Samples = Annotated[int | None, numeric("Samples per pixel.", "those of the scene's sampler", check=require_count)]
-
-Seed = Annotated[int, numeric("Seed of the random numbers.", check=partial(require_count, minimum=0))]
-
-Workers = Annotated[
-    int | None,
-    numeric(
-        "Of wave captures, deconvolved and data sets: number of processes of this machine; the bits are the same.",
-        "threads of one process",
-        panel=EXPERT,
-    ),
-]
-
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="The same: workers of this Dask scheduler, for example tcp://10.0.0.1:8786, which must see files under "
-        "the same names.",
-        rich_help_panel=EXPERT,
-    ),
-]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for other programs, and nothing else.")]
 
 Estimate = Annotated[
     bool, typer.Option("--estimate", is_eager=True, help="Print what it would take, after a few seconds, and stop.")
 ]
 
 CameraFile = Annotated[
-    str | None,
+    str,
     typer.Option(
         "--camera",
         metavar="PRESET|FILE.json|SCENE|NAME=VALUE,...",
@@ -244,109 +229,8 @@ CameraFile = Annotated[
     ),
 ]
 
-Unit = Annotated[
-    choices.Unit,
-    typer.Option(help="Unit of the scene's lengths, which are scaled to millimetres; not the camera's."),
-]
-
-LightFieldSource = Annotated[
-    Path,
-    typer.Argument(
-        metavar="SOURCE",
-        help="A capture (.exr), a light field (.nc, .zarr, LFToolbox's .mat, or a folder of HCI), a mosaic (.png with "
-        "--view-count, .eslf.png for the samples of each lens together), or a raw picture of a real camera (.png or "
-        ".tiff, with --white or --camera).",
-        callback=RECORDING,
-    ),
-]
-
-White = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE",
-        show_default="computed from the camera",
-        help="White image of the same camera, .exr, .png or .tiff, by which images are divided. For a raw picture it "
-        "shows where the micro-images are.",
-        callback=EXISTING,
-    ),
-]
-
-Truth = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.truth.exr",
-        show_default="the one next to the capture, if 'render --aov' wrote it",
-        help="Ground truth of the capture.",
-        callback=EXISTING,
-    ),
-]
-
-ViewCount = Annotated[
-    int | None, numeric("For a mosaic: how many views it has along each axis, 14 in Lytro's ESLF files.")
-]
-
-Linear = Annotated[
-    bool,
-    typer.Option("--linear", help="Pictures hold values proportional to light, as raw data does, instead of sRGB."),
-]
-
-LIGHT_FIELD: dict[str, Any] = {"white": White, "view_count": ViewCount, "linear": Linear, "camera": CameraFile}
+LightField = Annotated[dict[str, Any], {"white": Existing, "view_count": int, "linear": bool, "camera": CameraFile}]
 """Options of commands that read a light field: see `inputs.light_field`."""
 
-Exposure = Annotated[
-    float | None,
-    numeric("Of pictures: the value 2^-STOPS becomes white, so that pictures of several runs compare.", unit="STOPS"),
-]
-
-Percentile = Annotated[
-    float | None,
-    numeric(
-        "Of pictures: the value that this percentage does not surpass becomes white; 100: the brightest.",
-        "99.5, less where a lamp would make the rest black",
-        unit="PERCENT",
-    ),
-]
-
-_Scale = Annotated[
-    int | None,
-    numeric(
-        "Of plain pictures: pixels that a bin is wide.",
-        "as many as fit in 960 pixels, at least 1; in 480 for .gif",
-    ),
-]
-
-_Figure = Annotated[
-    bool,
-    typer.Option(
-        "--figure",
-        help="Make a .png a labelled figure for papers, with colour bar and scale bars, as a .pdf always is.",
-    ),
-]
-
-Dpi = Annotated[
-    int | None,
-    numeric(
-        "Make a .png a labelled figure of so many dots per inch.",
-        "300 for figures",
-        check=lambda name, value: require_count(name, value, minimum=20, maximum=2400),
-    ),
-]
-
-PICTURE: dict[str, Any] = {
-    "exposure": Exposure,
-    "percentile": Percentile,
-    "scale": _Scale,
-    "figure": _Figure,
-    "dpi": Dpi,
-}
+Picture = Annotated[dict[str, Any], {"exposure": float, "percentile": float, "scale": int, "figure": bool, "dpi": Dpi}]
 """Options of commands that write pictures: see `inputs.drawing_of`."""
-
-Resume = Annotated[
-    bool,
-    typer.Option(
-        "--resume",
-        help="Refuse what another run has left at the output, instead of replacing it; the same command goes on from "
-        "what it has left itself with and without this.",
-        rich_help_panel=EXPERT,
-    ),
-]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import inspect
 import logging
 import os
 import re
@@ -25,31 +26,33 @@ from typer.core import TyperCommand, TyperGroup
 from ..errors import InputError, at_shell, did_you_mean, relation, require_choice, short_repr
 from ..extension import entries, missing
 from ..runtime import INTERRUPTED, plain_lines
+from .signatures import documented, help_text, summary
 
 PROGRAM = "mitsuba-plenoptic"
 
 _logger = logging.getLogger(__package__.partition(".")[0])
 
 _COMMANDS_OF_CORE = {
-    "example": ("example", "Write a finished capture, with its ground truth next to it, to try the other commands on."),
-    "render": ("render_command", "Render what a scene's plenoptic camera records."),
-    "reconstruct": ("reconstruct", "Refocus a capture to one or several distances."),
-    "sheet": ("reconstruct", "Lay reconstructions out in one figure: a row a method and capture, a column a distance."),
-    "views": ("light_field", "Show the scene from many positions on the main lens."),
-    "epi": ("light_field", "Show one line of the scene from every view along the same direction."),
-    "stack": ("light_field", "Make a focal stack: one image for each distance, in focus there."),
-    "depth": ("light_field", "Estimate depth, and an image in focus everywhere, from how views agree."),
-    "expose": ("render_command", "Add what a real detector does: noise, saturation, digital numbers."),
-    "convert": ("light_field", "Decode a capture into a light field, or change a light field's format."),
-    "compare": ("compare", "Capture a scene by rays and by waves, refocus it by every method, and compare."),
-    "info": ("info", "Print what follows from a camera's parameters, and warnings about its design."),
-    "doctor": ("info", "Check the installation: versions, LLVM, Mitsuba variants, threads and GPU."),
+    "example": "example",
+    "render": "render_command",
+    "reconstruct": "reconstruct",
+    "sheet": "reconstruct",
+    "views": "light_field",
+    "epi": "light_field",
+    "stack": "light_field",
+    "depth": "light_field",
+    "expose": "render_command",
+    "convert": "light_field",
+    "compare": "compare",
+    "info camera": "info",
+    "info lens": "info",
+    "doctor": "doctor",
 }
 
-COMMANDS = {name: (f"{__package__}.{module}", line) for name, (module, line) in _COMMANDS_OF_CORE.items()} | {
-    name: (f"{package}.{module}", line) for package, name, (module, line) in entries("commands")
+COMMANDS = {name: f"{__package__}.{module}" for name, module in _COMMANDS_OF_CORE.items()} | {
+    name: f"{package}.{module}" for package, name, module in entries("commands")
 }
-"""In the order of the help: the module of each command, a function of its name, and its line of help."""
+"""In the order of the help: the module of each command, which has a function of the last word of its name."""
 
 # Options that are not called as the arguments of the library that they are for.
 _OPTIONS = {"views": "--view-count", "names": "--parameter", "parameters": "-D", "batch_map": "--workers"}
@@ -65,17 +68,30 @@ stoppable: list[Any] = []
 checkpoints that a run writes before it ends."""
 
 
+_HELP = {"help_option_names": ["-h", "--help"]}
+
+
 class StoppedError(Exception):
     """Ends a command after a signal with a line that says how to go on."""
 
 
 class _Commands(TyperGroup):
-    """The commands by their lines of help; the module of the one that is called, or completed, is imported."""
+    """Commands by the first sentences of their help; only the module of the one that is called is imported."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the commands, which then have their sentences."""
+        for name, command in self.commands.items():
+            command.help = command.help or summary(COMMANDS[self._full_name(name)], name)
+        return super().list_commands(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name, the command and the words that follow."""
         name, command, following = super().resolve_command(ctx, args)
-        return name, command and load(str(name)), following
+        full_name = self._full_name(str(name))
+        return name, load(full_name) if command and full_name in COMMANDS else command, following
+
+    def _full_name(self, name: str) -> str:
+        return name if name in COMMANDS else f"{self.name} {name}"
 
 
 def command_group() -> Any:
@@ -84,12 +100,18 @@ def command_group() -> Any:
         cls=_Commands,
         rich_markup_mode="rich",
         pretty_exceptions_enable=False,
-        context_settings={"help_option_names": ["-h", "--help"]},
+        context_settings=_HELP,
     )
     application.callback(invoke_without_command=True)(_root)
-    group: Any = typer.main.get_command(application)
-    group.commands |= {name: TyperCommand(name, help=line) for name, (_, line) in COMMANDS.items()}
-    return group
+    root: Any = typer.main.get_command(application)
+    for words, module in COMMANDS.items():
+        *group, name = words.split()
+        commands = root.commands
+        for title in group:
+            subgroup = _Commands(name=title, help=help_text(module), rich_markup_mode="rich", context_settings=_HELP)
+            commands = commands.setdefault(title, subgroup).commands
+        commands[name] = TyperCommand(name)
+    return root
 
 
 @functools.cache
@@ -97,14 +119,21 @@ def load(name: str) -> Any:
     """Return a command with the options that every command has."""
     from ..refocus_options import with_parameters
 
-    command = getattr(importlib.import_module(COMMANDS[name][0]), name)
+    module = COMMANDS[name]
+    command = getattr(importlib.import_module(module), name.split()[-1])
+    options = documented(command, module)
 
     @functools.wraps(command)
-    def called(quiet: bool, verbose: bool, **options: Any) -> None:
-        command(**options)
+    def called(quiet: bool, verbose: bool, **values: Any) -> None:
+        taken_by = {name: {option: values[option] for option in several} for name, several in options.items()}
+        command(**{name: several.get(name, several) for name, several in taken_by.items()})
 
+    parameters = [parameter for several in options.values() for parameter in several.values()]
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     alone = typer.Typer(rich_markup_mode="rich", add_completion=False)
-    alone.command(name)(with_parameters(called, _FOR_ALL))
+    alone.command(name, help=help_text(module, command.__name__), context_settings=_HELP)(
+        with_parameters(called, _FOR_ALL)
+    )
     return typer.main.get_command(alone)
 
 
@@ -180,12 +209,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     os.environ["MPLBACKEND"] = "agg"
     if words and (absent := missing("commands", words[0])):
         return _fail(absent)
-    group = command_group()
-    called = words[0] if words and words[0] in COMMANDS else None
+    if words[:1] == ["info"] and {"camera", "lens", "-h", "--help"}.isdisjoint(words[1:2]):
+        from .info import kind_of
+
+        words.insert(1, kind_of(words[1:]))
+    called = next((name for name in (" ".join(words[:2]), *words[:1]) if name in COMMANDS), None)
     if called:
-        # Options before the command, of which none is given: Typer would import pydantic to judge them.
-        group.params.clear()
-        group.add_help_option = False
         from ..runtime import claiming
     with _remarks(), _interrupts(), claiming() if called else contextlib.nullcontext():
         try:
@@ -193,7 +222,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             has_progress = called is not None and {"-h", "--help", "-q", "--quiet"}.isdisjoint(words)
             # Not in standalone mode, where Typer would print usage mistakes as boxes of many lines.
             with at_shell(_OPTIONS), plain_lines() if has_progress else contextlib.nullcontext():
-                status = group.main(words, prog_name=PROGRAM, standalone_mode=False)
+                if called:
+                    following = words[len(called.split()) :]
+                    status = load(called).main(following, prog_name=f"{PROGRAM} {called}", standalone_mode=False)
+                else:
+                    status = command_group().main(words, prog_name=PROGRAM, standalone_mode=False)
             # Typer makes a status of Ctrl-C.
             if status == 128 + signal.SIGINT:
                 raise KeyboardInterrupt
@@ -207,7 +240,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 anew = "the same command goes on from there" if goes_on else "nothing unfinished is kept"
                 _complain(str(error) if isinstance(error, StoppedError) else f"stopped: {anew}")
                 return 128 + (received or [signal.SIGINT])[-1]
-            command = load(called) if called else group
+            command = load(called) if called else command_group()
             message = _mistake(error, {option for parameter in command.params for option in parameter.opts})
             if message is None:
                 raise

@@ -4,40 +4,17 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..choices import PICTURES, VOLUMES
-from ..errors import refuse_if, require_count
-from ..refocus_options import Option, all_options, with_parameters
+from ..errors import refuse_if
+from ..refocus_options import Option, all_options
 from ..runtime import in_words, progress_bar
+from . import options
 from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear, require_png
-from .options import (
-    EXISTING,
-    EXPERT,
-    PICTURE,
-    WAVES,
-    CameraFile,
-    CaptureFile,
-    Dpi,
-    Estimate,
-    Exposure,
-    Linear,
-    Method,
-    Percentile,
-    Resume,
-    Scheduler,
-    Variant,
-    White,
-    Workers,
-    distances,
-    numeric,
-    output_option,
-    wavelength_option,
-)
 from .stopping import checkpoint_of, resumable
 
 if TYPE_CHECKING:
@@ -58,74 +35,62 @@ def _method_options() -> dict[str, Any]:
                 metavar=option.metavar or (None if flag or option.choices else "N"),
                 show_default=name if flag and option.default else not flag and option.shown_default,
                 help=option.text,
-                rich_help_panel=WAVES if option.waves else EXPERT,
+                rich_help_panel=options.WAVES if option.waves else options.EXPERT,
             ),
         ]
     return command_options
 
 
-@partial(with_parameters, parameters=_method_options())
-@partial(with_parameters, parameters=PICTURE)
 def reconstruct(
-    capture: CaptureFile,
-    # Depths before an objective may be negative, and only the capture tells whether there is one.
-    distance: Annotated[list[float], distances(finite=False)],
-    output: Annotated[
-        Path | None,
-        output_option(
-            "FILE",
-            "File to write, not needed with --estimate: float32 OpenEXR if it ends in .exr, an 8-bit picture if in "
-            ".png. With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. "
-            "All go into one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif "
-            "(ImageJ), .ome.tif (OME) or .zarr.",
-            *PICTURES,
-            *VOLUMES,
-        ),
-    ] = None,
-    method: Annotated[
-        Method,
-        typer.Option(
-            help="How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved "
-            "subset of lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, "
-            "deconvolved finds the plane whose capture it is.",
-        ),
-    ] = "ray",
-    wavelength: Annotated[float | None, wavelength_option("the capture's", WAVES)] = None,
-    camera: CameraFile = None,
-    linear: Linear = False,
-    oversample: Annotated[
-        int, numeric("Bins per microlens along each axis; info prints what suits.", check=require_count)
-    ] = 1,
-    white: White = None,
-    resume: Resume = False,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    estimate: Estimate = False,
-    variant: Variant = None,
-    **options: Any,
+    capture: options.CaptureFile,
+    *,
+    distance: options.Distances,
+    output: Annotated[Path, options.ends_in(*PICTURES, *VOLUMES)] | None = None,
+    method: options.Method = "ray",
+    wavelength: Annotated[options.Wavelength, options.WAVES] | None = None,
+    camera: options.CameraFile | None = None,
+    linear: bool = False,
+    oversample: options.Count = 1,
+    white: options.Existing | None = None,
+    resume: options.Resume = False,
+    workers: options.Workers | None = None,
+    scheduler: options.Scheduler | None = None,
+    estimate: options.Estimate = False,
+    variant: options.Variant | None = None,
+    picture: options.Picture,
+    of_method: Annotated[dict[str, Any], _method_options()],
 ) -> None:
     """Refocus a capture to one or several distances.
 
-    A reconstruction has one bin per microlens by default, and the
-    orientation of an ordinary photograph. The distance may be inf. Pictures of
-    one run share one scale, so that their brightness compares. Bins that no
-    light can reach, at the borders of a crop, are NaN in OpenEXR and black in a
-    picture. A raw picture (.png or .tiff) of a real camera needs its
-    [bold]--camera[/bold].
+    A reconstruction has one bin per microlens by default, and the orientation of an ordinary photograph. The distance
+    may be inf. Pictures of one run share one scale, so that their brightness compares. Bins that no light can reach, at
+    the borders of a crop, are NaN in OpenEXR and black in a picture. A raw picture (.png or .tiff) of a real camera
+    needs its [bold]--camera[/bold].
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write, not needed with --estimate: float32 OpenEXR if it ends in .exr, an 8-bit picture if in .png.
+        With several distances each goes into a file of its own: out.exr becomes out_210.exr and so on. All go into
+        one labelled figure if it ends in .pdf, and into one volume with voxel sizes if in .tif (ImageJ), .ome.tif
+        (OME) or .zarr.
+    method
+        How light is followed back: by rays, as one coherent wave, or as one wave for each interleaved subset of
+        lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, deconvolved
+        finds the plane whose capture it is.
+    wavelength : NM
+        Of waves: wavelength in nanometres. Default: the capture's.
+    oversample
+        Bins per microlens along each axis; info prints what suits.
 
-      mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
-
-      mitsuba-plenoptic reconstruct raw.exr -o out.exr --distance 210 --distance 240
-
-      mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
-
-      mitsuba-plenoptic reconstruct raw.exr --method deconvolved --distance 280 --estimate
-
-      mitsuba-plenoptic reconstruct raw.exr -o out.tif --method deconvolved --volume --distance 220 --distance 260
-
-      mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
+    Examples
+    --------
+    $ mitsuba-plenoptic reconstruct raw.exr -o out.png --distance 240
+    $ mitsuba-plenoptic reconstruct raw.exr -o out.exr --distance 210 --distance 240
+    $ mitsuba-plenoptic reconstruct raw.exr -o out.png --method partial --distance 280
+    $ mitsuba-plenoptic reconstruct raw.exr --method deconvolved --distance 280 --estimate
+    $ mitsuba-plenoptic reconstruct raw.exr -o out.tif --method deconvolved --volume --distance 220 --distance 260
+    $ mitsuba-plenoptic reconstruct raw.tiff -o out.png --distance 600 --camera camera.json --linear
     """
     if output is None and not estimate:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
@@ -146,7 +111,7 @@ def reconstruct(
         chosen,
         white=white,
         wavelength=wavelength,
-        **{name: _value_of(option, options[name]) for name, option in all_options().items()},
+        **{name: _value_of(option, of_method[name]) for name, option in all_options().items()},
         resume=resume or None,
         workers=workers,
         scheduler=scheduler,
@@ -161,7 +126,7 @@ def reconstruct(
         typer.echo(f"{capture}: about {in_words(cost.seconds)} and {cost.memory / GIB:.2g} GiB")
         return
     as_volume = output.suffix.lower() in VOLUMES
-    drawing = drawing_of(options, output)
+    drawing = drawing_of(picture, output)
     paths = [] if as_volume else reconstruction_paths(output, distance, drawing)
     if as_volume:
         require_volume_path(output, distance)
@@ -195,30 +160,31 @@ def reconstruct(
 
 
 def sheet(
-    results: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RESULT.exr...", help="Files that 'reconstruct' wrote, in any order.", callback=EXISTING
-        ),
-    ],
-    output: Annotated[Path, output_option("FILE", "Figure to write, .pdf or .png.", ".pdf", ".png")],
-    distance: Annotated[
-        list[float] | None,
-        numeric("Show the results at this distance alone; repeat for several.", "all", unit="MM"),
-    ] = None,
-    exposure: Exposure = None,
-    percentile: Percentile = None,
-    dpi: Dpi = None,
+    results: list[options.Existing],
+    *,
+    output: Annotated[Path, options.ends_in(".pdf", ".png")],
+    distance: list[float] | None = None,
+    exposure: float | None = None,
+    percentile: float | None = None,
+    dpi: options.Dpi | None = None,
 ) -> None:
     """Lay reconstructions out in one figure: a row a method and capture, a column a distance.
 
     All share one scale. They must be by one camera.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    results : RESULT.exr...
+        Files that 'reconstruct' wrote, in any order.
+    output : FILE
+        Figure to write, .pdf or .png.
+    distance : MM
+        Show the results at this distance alone; repeat for several. Default: all.
 
-      mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
-
-      mitsuba-plenoptic sheet *.exr -o sheet.png --distance 210 --distance 240
+    Examples
+    --------
+    $ mitsuba-plenoptic sheet ray_210.exr ray_240.exr partial_210.exr partial_240.exr -o sheet.pdf
+    $ mitsuba-plenoptic sheet *.exr -o sheet.png --distance 210 --distance 240
     """
     from ..refocus import read_reconstruction
     from ..report import images

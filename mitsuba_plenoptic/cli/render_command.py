@@ -5,145 +5,87 @@ from __future__ import annotations
 import time
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..choices import QUANTITIES, RAW_SUFFIXES, AnyMosaic
-from ..errors import require_number
+from ..choices import RAW_SUFFIXES, Model, Unit
 from ..runtime import progress_bar
+from . import options
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
-from .options import (
-    VARIANT,
-    CameraFile,
-    CaptureFile,
-    Definitions,
-    Estimate,
-    Model,
-    Resume,
-    Samples,
-    Scene,
-    Scheduler,
-    Seed,
-    Unit,
-    Workers,
-    ends_in,
-    nanometres_of_channels,
-    numeric,
-    output_option,
-)
+from .signatures import options_of
 from .stopping import checkpoint_of, resumable
 
 
 def render(
-    scene: Scene,
-    output: Annotated[
-        Path | None, output_option("FILE.exr", "File to write; not needed with --estimate.", ".exr")
-    ] = None,
-    model: Model = None,
-    spp: Samples = None,
-    seed: Seed = 0,
-    wavelength: Annotated[
-        str | None,
-        numeric(
-            "Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464.",
-            "the scene's, else 633",
-            unit="NM",
-            check=nanometres_of_channels,
-        ),
-    ] = None,
-    bandwidth: Annotated[
-        float | None,
-        numeric("Wave captures: width of a flat band around each wavelength.", "one wavelength", unit="NM"),
-    ] = None,
-    responses: Annotated[
-        str | None,
-        typer.Option(
-            metavar="srgb|FILE.csv",
-            show_default="the scene's; srgb for films of colours in spectral variants",
-            help="Wave captures, instead of a wavelength: responses of the film's channels, those of sRGB or a table "
-            "of wavelengths and one or three responses.",
-        ),
-    ] = None,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            show_default="the scene's, else signed_rays",
-            help="Wave captures: signed_rays, which takes the rays of a ray capture, or points, the plain reference "
-            "for matte scenes, with --spp points for each microlens.",
-        ),
-    ] = None,
-    noise: Annotated[
-        bool,
-        typer.Option("--noise", help="Keep the standard deviation of each pixel, too, as layer 'noise' of the file."),
-    ] = False,
-    estimate: Estimate = False,
-    resume: Resume = False,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            show_default="FILE.exr.checkpoint",
-            help="Wave captures: file for what is done until the capture is written.",
-            callback=ends_in(),
-        ),
-    ] = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    camera: CameraFile = None,
+    scene: options.Scene,
+    *,
+    output: Annotated[Path, options.ends_in(".exr")] | None = None,
+    model: Model | None = None,
+    spp: options.Count | None = None,
+    seed: options.Seed = 0,
+    wavelength: Annotated[str, options.checked(options.nanometres_of_channels)] | None = None,
+    bandwidth: float | None = None,
+    responses: str | None = None,
+    method: str | None = None,
+    noise: bool = False,
+    estimate: options.Estimate = False,
+    resume: options.Resume = False,
+    checkpoint: Annotated[Path, options.ends_in()] | None = None,
+    workers: options.Workers | None = None,
+    scheduler: options.Scheduler | None = None,
+    camera: options.CameraFile | None = None,
     unit: Unit = "mm",
-    sensor: Annotated[
-        int, numeric("Which of the scene's sensors, counted from 0; the one that --camera replaces.")
-    ] = 0,
-    white: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.exr",
-            help="Write the camera's white image, too, by the capture's model of light and at its wavelengths.",
-            callback=ends_in(".exr"),
-        ),
-    ] = None,
-    aov: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME,NAME,...",
-            help="Also write ground truth, next to the capture, as FILE.truth.exr, of each pixel and of each decoded "
-            f"view: {', '.join(QUANTITIES)}.",
-        ),
-    ] = None,
-    define: Definitions = None,
-    variant: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            show_default="llvm_ad_rgb if the film records rgb, else llvm_ad_mono",
-            help="Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono.",
-            callback=VARIANT,
-        ),
-    ] = None,
+    sensor: int = 0,
+    white: Annotated[Path, options.ends_in(".exr")] | None = None,
+    aov: str | None = None,
+    define: options.Definitions = None,
+    variant: options.Variant | None = None,
 ) -> None:
     """Render what a scene's plenoptic camera records.
 
-    The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is
-    written as float32 OpenEXR, which any EXR viewer shows; its header holds
-    the camera and how it was made. A long wave capture keeps a checkpoint
-    next to the output, from which the same command continues after Ctrl-C or a
-    crash.
+    The scene needs a sensor of type [bold]plenoptic[/bold]. The capture is written as float32 OpenEXR, which any EXR
+    viewer shows; its header holds the camera and how it was made. A long wave capture keeps a checkpoint next to the
+    output, from which the same command continues after Ctrl-C or a crash.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE.exr
+        File to write; not needed with --estimate.
+    wavelength : NM
+        Wave captures: wavelength in nanometres; for a variant of three channels three, as 611,549,464. Default: the
+        scene's, else 633.
+    bandwidth : NM
+        Wave captures: width of a flat band around each wavelength. Default: one wavelength.
+    responses : srgb|FILE.csv
+        Wave captures, instead of a wavelength: responses of the film's channels, those of sRGB or a table of
+        wavelengths and one or three responses. Default: the scene's; srgb for films of colours in spectral variants.
+    method : NAME
+        Wave captures: signed_rays, which takes the rays of a ray capture, or points, the plain reference for matte
+        scenes, with --spp points for each microlens. Default: the scene's, else signed_rays.
+    noise
+        Keep the standard deviation of each pixel, too, as layer 'noise' of the file.
+    checkpoint : FILE
+        Wave captures: file for what is done until the capture is written. Default: FILE.exr.checkpoint.
+    sensor
+        Which of the scene's sensors, counted from 0; the one that --camera replaces.
+    white : FILE.exr
+        Write the camera's white image, too, by the capture's model of light and at its wavelengths.
+    aov : NAME,NAME,...
+        Also write ground truth, next to the capture, as FILE.truth.exr, of each pixel and of each decoded view:
+        depth, virtual_depth, position, normal, albedo, shape_index.
+    variant : NAME
+        Mitsuba variant, for example llvm_ad_rgb or cuda_ad_mono. Default: llvm_ad_rgb if the film records rgb, else
+        llvm_ad_mono.
 
-      mitsuba-plenoptic render letters -o raw.exr --spp 16
-
-      mitsuba-plenoptic render letters -o wave.exr --model wave
-
-      mitsuba-plenoptic render still_life --model wave --estimate
-
-      mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
-
-      mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
+    Examples
+    --------
+    $ mitsuba-plenoptic render letters -o raw.exr --spp 16
+    $ mitsuba-plenoptic render letters -o wave.exr --model wave
+    $ mitsuba-plenoptic render still_life --model wave --estimate
+    $ mitsuba-plenoptic render my_scene.xml -o raw.exr --camera lytro --white white.exr
+    $ mitsuba-plenoptic render still_life -o raw.exr --aov depth,normal,shape_index
     """
     if output is None and not estimate:
         raise typer.BadParameter("name the file to write, or ask for an --estimate", param_hint="--output")
@@ -237,53 +179,28 @@ def _shorter(scene: Any, sensor: int, spp: int | None, method: str | None) -> st
 
 
 def expose(
-    capture: CaptureFile,
-    output: Annotated[
-        Path,
-        output_option(
-            "FILE", "File to write: .exr, or .png or .tiff for digital numbers.", ".exr", ".png", ".tif", ".tiff"
-        ),
-    ],
-    photons: Annotated[
-        float,
-        numeric(
-            "Photons that hit a pixel of value 1 during the exposure.", check=partial(require_number, positive=True)
-        ),
-    ],
-    quantum_efficiency: Annotated[float, numeric("Electrons per photon, up to 1.", unit="FRACTION")] = 0.6,
-    full_well: Annotated[float, numeric("Electrons at which a pixel saturates.")] = 8000.0,
-    dark_electrons: Annotated[float, numeric("Mean electrons without light.")] = 0.0,
-    read_noise: Annotated[float, numeric("Standard deviation of the reading, in electrons.")] = 2.5,
-    bits: Annotated[int, numeric("Bits of a digital number, up to 16.")] = 12,
-    gain: Annotated[
-        float | None, numeric("Numbers per electron.", "the full well is the largest number", unit="K")
-    ] = None,
-    black_level: Annotated[
-        int | None, numeric("Number without any electron.", "four deviations of the dark noise")
-    ] = None,
-    mosaic: Annotated[
-        AnyMosaic | None,
-        typer.Option(
-            show_default="none",
-            help="Colour filters of the first pixels of two rows; each pixel then records one of three channels.",
-        ),
-    ] = None,
-    seed: Annotated[int, numeric("Seed of the noise.")] = 0,
+    capture: options.CaptureFile,
+    *,
+    output: Annotated[Path, options.ends_in(".exr", ".png", ".tif", ".tiff")],
+    exposure: Annotated[dict[str, Any], options_of("detector.record:expose", "photons", "seed")],
+    detector: Annotated[dict[str, Any], options_of("detector.record:Detector")],
 ) -> None:
     """Add what a real detector does: noise, saturation, digital numbers.
 
-    The sensor is linear after EMVA Standard 1288. The result is a capture in
-    the units of the first, so that every command takes it. A name that ends
-    in .png or .tiff keeps the digital numbers instead, in 16 bits, for other
+    The sensor is linear after EMVA Standard 1288. The result is a capture in the units of the first, so that every
+    command takes it. A name that ends in .png or .tiff keeps the digital numbers instead, in 16 bits, for other
     programs and for 'demosaic'.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: .exr, or .png or .tiff for digital numbers.
 
-      mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
-
-      mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
-
-      mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
+    Examples
+    --------
+    $ mitsuba-plenoptic expose raw.exr -o noisy.exr --photons 2000
+    $ mitsuba-plenoptic expose colours.exr -o bayer.exr --photons 2000 --mosaic RGGB
+    $ mitsuba-plenoptic expose colours.exr -o bayer.tiff --photons 2000 --mosaic RGGB
     """
     from ..detector import Detector
     from ..detector import expose as record
@@ -291,21 +208,11 @@ def expose(
     from ..runtime import require_apart, require_writable
 
     require_apart(require_writable(output), capture)
-    detector = Detector(
-        quantum_efficiency=quantum_efficiency,
-        full_well=full_well,
-        dark_electrons=dark_electrons,
-        read_noise=read_noise,
-        bits=bits,
-        gain=gain,
-        black_level=black_level,
-        mosaic=mosaic,
-    )
-    exposed = record(read_capture(capture), detector, photons=photons, seed=seed)
+    exposed = record(read_capture(capture), Detector(**detector), **exposure)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
-    electrons = detector.quantum_efficiency * photons
+    electrons = detector["quantum_efficiency"] * exposure["photons"]
     saturated, rows, columns = exposed.metadata["exposure"]["saturated_pixels"], *exposed.image.shape[:2]
     typer.echo(
-        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {full_well:g}; "
+        f"{output}: {electrons:.4g} electrons in a pixel of value 1; a full well is {detector['full_well']:g}; "
         f"{saturated} pixels ({saturated / (rows * columns):.2%}) are saturated"
     )

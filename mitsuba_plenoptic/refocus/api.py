@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, overload
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from .. import design
 from ..camera import PlenopticCamera, require_support
 from ..errors import LONGEST, require_count, suggest_keywords, warn
-from ..io import CaptureLike, Checkpoint, read_if_path
+from ..io import Capture, CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
 from ..runtime import GIB, BatchMap, Forecast, Progress, in_words, memory_asked, one_at_a_time
@@ -149,21 +149,20 @@ def reconstruct(
     (210.0, (48, 48), 0.112)
     >>> far = mp.reconstruct(capture, 280, method="partial", interleave=2)
     """
+    # Read.
     recorded = read_if_path(capture, camera)
     reference = read_if_path(white, camera)
-    capture = as_capture(recorded, camera)
-    tilted = capture.camera
+    original = as_capture(recorded, camera)
+
+    # Check.
     chosen = registered(method)
+    tilted = original.camera
     require_support(tilted, chosen.use)
-    image = np.atleast_3d(capture.image)
-    camera = tilted
     # A method that knows aberrations knows unequal lenses, too, and divides by what it computes.
     as_recorded = chosen.as_recorded or (chosen.as_it_is and reference is None)
-    if not as_recorded:
-        image = straightened_image(image, tilted)
-        camera = straightened(tilted)
-    unstraightened = capture
-    capture = dataclasses.replace(capture, camera=camera, image=image.reshape(capture.image.shape))
+    capture = original if as_recorded else _straight(original)
+    image = np.atleast_3d(capture.image)
+    camera = capture.camera
     options_used = used_by(
         chosen,
         white=reference,
@@ -184,54 +183,28 @@ def reconstruct(
     waves = chosen.waves and settings.get("response") != "ray"
     if chosen.waves:
         camera.require_resolved()
-    if chosen.waves and not chosen.as_it_is and camera.wavefront:
-        # Images are formed by the lens as it should be.
-        camera = camera.replace(wavefront=())
-    longest = None if capture.wavelength is None else float(np.max(capture.wavelength))
-    facts = [_resolution(camera, value, longest) for value in distances]
-    for value, fact in zip(distances, facts, strict=True):
-        # 0.5: below, images show hardly anything, which deconvolution alone may undo.
-        if not chosen.as_it_is and not fact.get("in_range", True) and fact["samples_per_lens"] < 0.5:
-            near, far = design.refocus_range(camera, longest)
-            warn(
-                f"distance = {value:g}: far outside the range of refocusing, {near:.4g} to {far:.4g} mm: "
-                f"{fact['samples_per_lens']:.2g} samples per lens are resolved there"
-            )
+        if not chosen.as_it_is and camera.wavefront:
+            # Images are formed by the lens as it should be.
+            camera = camera.replace(wavefront=())
+    facts = _resolutions(camera, distances, capture.wavelength, chosen)
     require_image_memory(camera, distances, oversample, image.shape, reference is not None and is_known(camera))
-    if reference is not None:
-        reference = as_reference(reference, capture, tilted, recorded, as_recorded)
     wavelengths = require_wavelengths(capture, wavelength, image.shape[2], camera) if waves else []
 
-    def tell(seconds: float) -> None:
-        if seconds > _LONG:
-            needed = f"{in_words(seconds)} and {max(sizes, default=0) / GIB:.2g} GiB"
-            cheaper = "; method ray takes a small part of that" if chosen.waves else ""
-            _log.info("method %s takes about %s%s", method, needed, cheaper)
-
-    forecast = Forecast(tell, progress)
-    reported = -1
-
-    def report(done: float) -> None:
-        nonlocal reported
-        if (step := round(done * _PROGRESS_STEPS)) != reported:
-            reported = step
-            forecast(step, _PROGRESS_STEPS)
-
-    report(0)
-    recorded_at = None
-    if capture.model == "wave" and capture.wavelength is not None:
-        recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
-    computed, works = None, [0, 1]
-    # A white image by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
-    if capture.model == "wave":
-        works = [1, 5 if chosen.long else 1] if chosen.as_it_is else [4, 1]
     with memory_asked() as sizes:
+        # Prepare.
+        if reference is not None:
+            reference = as_reference(reference, capture, tilted, recorded, as_recorded)
+        report = _reports(chosen, progress, sizes)
+        works = _works(chosen, capture)
+        computed = None
         # Responses by rays have the white image of rays, and Fourier microscopes have none.
         if reference is None and not chosen.as_it_is:
-            computed = computed_white(unstraightened, portion(report, 0, works))
+            computed = computed_white(original, portion(report, 0, works))
         elif reference is None and waves and capture.model == "wave" and camera.lens_data.converges:
-            computed = white_of_response(unstraightened, portion(report, 0, works))
-    with guards.watch() as found, memory_asked() as sizes:
+            computed = white_of_response(original, portion(report, 0, works))
+        recorded_at = None
+        if capture.model == "wave" and capture.wavelength is not None:
+            recorded_at = np.broadcast_to(capture.wavelength, image.shape[2]).tolist()
         task = Task(
             image=image,
             camera=camera,
@@ -247,37 +220,88 @@ def reconstruct(
             checkpoint=options_used["checkpoint"],
             batch_map=options_used["batch_map"],
         )
-        images = [
-            dataclasses.replace(image_at, image=displaced_image(image_at.image, tilted, oversample))
-            for image_at in _refocused(task, chosen, settings)
-        ]
+
+        # Run.
+        with guards.watch() as lost:
+            images = _refocused(task, chosen, settings)
+
+    # Describe.
     settings |= {"oversample": oversample} | ({"wavelength": wavelengths} if waves else {})
     settings |= {"white": "capture"} if reference is not None else {}
-    results = [
-        Reconstruction(
-            image=image_at.image.reshape(*image_at.image.shape[:2], *capture.image.shape[2:]),
+    results = []
+    for value, fact, image_at in zip(distances, facts, images, strict=True):
+        values = displaced_image(image_at.image, tilted, oversample)
+        result = Reconstruction(
+            image=values.reshape(*values.shape[:2], *capture.image.shape[2:]),
             distance=value,
             bin_size=camera.bin_size(1.0 if math.isinf(value) else value) / oversample,
             method=method,
             camera=straightened(camera),
             options=settings,
-            guards=found,
+            guards=lost,
             facts={"model": capture.model, **fact, **image_at.facts},
         )
-        for value, fact, image_at in zip(distances, facts, images, strict=True)
-    ]
+        results.append(result)
     return results[0] if np.ndim(distance) == 0 else Reconstructions(results)
 
 
-def _resolution(camera: PlenopticCamera, distance: float, wavelength: float | None) -> dict[str, Any]:
-    """Return facts on a distance: whether it is in the range of refocusing, and the samples resolved per lens."""
+def _straight(capture: Capture) -> Capture:
+    """Return a capture as lenses without displacement and of equal brightness would have recorded it."""
+    image = straightened_image(np.atleast_3d(capture.image), capture.camera)
+    return dataclasses.replace(capture, camera=straightened(capture.camera), image=image.reshape(capture.image.shape))
+
+
+def _resolutions(
+    camera: PlenopticCamera, distances: Sequence[float], wavelength: Any, chosen: RegisteredMethod
+) -> list[dict[str, Any]]:
+    """Return facts on distances: whether they are in the range of refocusing, and the samples resolved per lens."""
     if not camera.lens_data.converges:
-        return {}
-    ranges = design.depth_ranges(camera, wavelength)
-    return {
-        "in_range": any(ends is not None and ends[0] <= distance <= ends[1] for ends in ranges),
-        "samples_per_lens": design.effective_resolution(camera, min(distance, LONGEST), wavelength).samples_per_lens,
-    }
+        return [{} for _ in distances]
+    longest = None if wavelength is None else float(np.max(wavelength))
+    ranges = design.depth_ranges(camera, longest)
+    facts = []
+    for distance in distances:
+        in_range = any(ends is not None and ends[0] <= distance <= ends[1] for ends in ranges)
+        samples = design.effective_resolution(camera, min(distance, LONGEST), longest).samples_per_lens
+        facts.append({"in_range": in_range, "samples_per_lens": samples})
+        # 0.5: below, images show hardly anything, which deconvolution alone may undo.
+        if not chosen.as_it_is and not in_range and samples < 0.5:
+            near, far = design.refocus_range(camera, longest)
+            warn(
+                f"distance = {distance:g}: far outside the range of refocusing, {near:.4g} to {far:.4g} mm: "
+                f"{samples:.2g} samples per lens are resolved there"
+            )
+    return facts
+
+
+def _works(chosen: RegisteredMethod, capture: Capture) -> list[int]:
+    """Return the amounts of work of the white image and of the method."""
+    if capture.model != "wave":
+        return [0, 1]
+    # A white image by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
+    return [1, 5 if chosen.long else 1] if chosen.as_it_is else [4, 1]
+
+
+def _reports(chosen: RegisteredMethod, progress: Progress | None, sizes: Sequence[float]) -> Callable[[float], None]:
+    """Return what is called with the fraction done; once it can be estimated, long work says its time and memory."""
+
+    def tell(seconds: float) -> None:
+        if seconds > _LONG:
+            needed = f"{in_words(seconds)} and {max(sizes, default=0) / GIB:.2g} GiB"
+            cheaper = "; method ray takes a small part of that" if chosen.waves else ""
+            _log.info("method %s takes about %s%s", chosen.name, needed, cheaper)
+
+    forecast = Forecast(tell, progress)
+    reported = -1
+
+    def report(done: float) -> None:
+        nonlocal reported
+        if (step := round(done * _PROGRESS_STEPS)) != reported:
+            reported = step
+            forecast(step, _PROGRESS_STEPS)
+
+    report(0)
+    return report
 
 
 def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:

@@ -36,7 +36,7 @@ OF_RAYS = "a ray capture does not take it"
         ("render letters -o {out}.exr --white {out}.exr", "two results would be written to it"),
         ("render letters --estimate --noise", "--noise: "),
         ("info paper_double_gauss --drawing {out}.jpg", "give a name that ends in .png"),
-        ("info", "SCENE, --camera: give one of the two"),
+        ("info", "Missing argument .*see mitsuba-plenoptic info camera --help"),
         ("info f_number=4,lenses=(9),mla_pitch=1,pixel_size=1,focal_length=5,focus_distance=9", "written lenses="),
         ("info paper -D resolution=64", "-D: paper is no scene"),
         ("reconstruct {raw} -o {out}.exr --distance 55cm", "--distance = '55cm': .*without the unit"),
@@ -86,7 +86,7 @@ def test_parameters_are_followed_through_defaults_and_includes(raw, tmp_path, ru
         "reconstruct {copy} -o {copy} --distance 240",
         "reconstruct {raw} -o {link} --distance 240 --white {copy}",
         "expose {copy} -o {link} --photons 100",
-        pytest.param("calibrate {copy} -o {copy}", marks=pytest.mark.needs_extension("calibrate")),
+        pytest.param("demosaic {copy} -o {copy}", marks=pytest.mark.needs_extension("raw")),
     ],
 )
 def test_what_is_read_is_not_written_over(line, raw, tmp_path, complaint):
@@ -148,7 +148,7 @@ WRONG_KINDS = {
         ("text camera metashape empty", "render {given} -o {out}.exr"),
         ("jpeg metashape", "render letters -o {out}.exr --camera {given}"),
         ("matlab folder", "info {given}"),
-        ("jpeg numpy folder metashape", "calibrate {given} -o {out}.json"),
+        ("jpeg numpy folder metashape", "calibrate white {given} -o {out}.json --camera paper"),
     ],
 )
 def test_files_of_a_wrong_kind_are_named(kinds, line, raw, tmp_path, complaint):

@@ -24,7 +24,8 @@ COMMANDS = {name: cli.load(name) for name in cli.COMMANDS}
 def test_commands_and_names_exist(page):
     text = page.read_text()
     for line in re.findall(r"^(?:\$ )?mitsuba-plenoptic ([a-z].*)$", text, flags=re.MULTILINE):
-        name, *words = shlex.split(line.split("#")[0])
+        words = shlex.split(line.split("#")[0])
+        name = next(name for name in (" ".join(words[:2]), words[0], f"{words[0]} camera") if name in COMMANDS)
         known = {option for parameter in COMMANDS[name].params for option in parameter.opts + parameter.secondary_opts}
         assert {word for word in words if re.match(r"--?[A-Za-z]", word)} <= known | {"--help"}, line
     for path in set(re.findall(r"\bmp\.([A-Za-z]\w*(?:\.[A-Za-z]\w*)*)", text)):

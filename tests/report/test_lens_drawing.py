@@ -149,10 +149,10 @@ def test_a_lens_file_that_forms_no_image_is_refused_by_its_own_numbers(rule, tmp
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--microlens", "micro.png"], "--microlens: {path}, a main lens"),
+        (["--microlens", "micro.png"], "no such option: --microlens"),
         (["--pupil", "3", "--f-number", "8"], "--pupil, --f-number: give one of the two"),
-        (["-D", "radius=3"], "-D: {path} is no scene"),
-        (["--unit", "m"], "--unit m: {path} is no scene"),
+        (["-D", "radius=3"], "no such option: -D"),
+        (["--unit", "m"], "no such option: --unit"),
     ],
 )
 def test_options_that_a_lens_file_does_not_take_are_refused(options, words, tmp_path, complaint):
@@ -260,4 +260,4 @@ def test_info_of_a_lens_of_ones_own(tmp_path, capsys):
     told = capsys.readouterr().out
     assert "f/8" in told and "Field of 2.1 deg" in told and not re.search("[Dd]etector|pixel|ideal", told)
     assert main(["info", "paper", "--field", "3"]) == 2
-    assert "--field: paper, which is no lens, does not take it" in capsys.readouterr().err
+    assert "no such option: --field" in capsys.readouterr().err

@@ -191,7 +191,7 @@ def test_python_without_docstrings_and_assertions(python):
             if not mp.reconstruct(capture, 240, method=method, wavelength=633).image.max() > 0:
                 sys.exit(method)
     for name in COMMANDS:
-        if main([name, "--help"]):
+        if main([*name.split(), "--help"]):
             sys.exit(name)
     print("right")
     """

@@ -9,6 +9,6 @@ EXTENSION = Extension(
     modules={"calibration": "calibration"},
     hooks={"libpleno": "calibrated_cameras:libpleno_camera"},
     commands={
-        "calibrate": ("calibrate_command", "Calibrate a real camera from corners of a checkerboard and white images."),
+        f"calibrate {step}": "calibrate_command" for step in ("centres", "corners", "boards", "white", "evaluate")
     },
 )

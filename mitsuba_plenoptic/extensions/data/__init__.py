@@ -7,10 +7,5 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"dataset": "dataset"},
-    commands={
-        "dataset": (
-            "dataset_command",
-            "Make a data set: random scenes captured by rays and by waves, with ground truth.",
-        ),
-    },
+    commands={"dataset": "dataset_command"},
 )

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
-
 import typer
 
 from ...cli import inputs, options, stopping
@@ -12,22 +9,25 @@ from ...runtime import progress_bar
 
 
 def dataset(
-    recipe: Annotated[
-        Path, typer.Argument(metavar="RECIPE.yaml", help="The recipe, YAML or JSON.", callback=options.EXISTING)
-    ],
+    recipe: options.Existing,
+    *,
     output: options.OutputFolder,
-    workers: options.Workers = None,
-    scheduler: options.Scheduler = None,
+    workers: options.Workers | None = None,
+    scheduler: options.Scheduler | None = None,
 ) -> None:
     """Make a data set: random scenes captured by rays and by waves, with ground truth.
 
-    Run it again to resume after it was stopped, or to let it grow to a larger
-    count: the files have the same bits. The folder holds shards (HDF5), a data
-    card (README.md) and a preview.
+    Run it again to resume after it was stopped, or to let it grow to a larger count: the files have the same bits. The
+    folder holds shards (HDF5), a data card (README.md) and a preview.
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    recipe : RECIPE.yaml
+        The recipe, YAML or JSON.
 
-      mitsuba-plenoptic dataset shapes.yaml -o shapes --workers 2
+    Examples
+    --------
+    $ mitsuba-plenoptic dataset shapes.yaml -o shapes --workers 2
     """
     # Data sets need libraries that take a second to load.
     from .dataset import make_dataset, read_recipe

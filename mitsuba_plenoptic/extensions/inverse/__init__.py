@@ -10,7 +10,5 @@ EXTENSION = Extension(
         f"refocus.{name}": f"differentiable:{name}" for name in ("CoherentRefocus", "DeconvolvedRefocus", "RayRefocus")
     },
     modules={name: name for name in ("fitting", "optimisation", "array_functions", "scene_functions", "torch", "jax")},
-    commands={
-        "fit": ("fit_command", "Fit a camera's parameters to captures of known scenes, by the wave or the ray model."),
-    },
+    commands={"fit": "fit_command"},
 )

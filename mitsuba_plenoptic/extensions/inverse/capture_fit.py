@@ -84,7 +84,8 @@ def fit(
     model : {"ray", "wave"}
         Model of the light in the camera. The ray model is faster and neglects diffraction.
     accuracy : float
-        As for `CaptureOperator`, for the wave model. Above 0 shared point spreads make the model jump a little.
+        Tolerated error of the wave model, for speed; 0: none. As for `CaptureOperator`: above 0 shared point spreads
+        make the model jump a little.
     steps : int
         Cameras that are tried at most in each of the two rounds, or in the single one if the noise does not depend on
         the model; 2 or more.

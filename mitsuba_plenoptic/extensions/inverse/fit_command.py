@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ... import choices
-from ...cli import inputs, options, stopping
-from ...errors import InputError, refuse_if, require_number
+from ...cli import inputs, options, options_of, stopping
+from ...errors import InputError, refuse_if
 from ...runtime import progress_bar
 
 if TYPE_CHECKING:
@@ -21,62 +20,22 @@ _NAMED = 3
 
 
 def fit(
-    captures: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="CAPTURE.exr...", help="Captures of known scenes by one camera.", callback=options.RECORDING
-        ),
-    ],
-    output: Annotated[Path, options.output_option("FILE.json", "File to write: the camera.", ".json")],
-    scenes: Annotated[
-        list[str], typer.Option("--scene", help="What each capture shows, in their order: a file or a built-in scene.")
-    ],
-    names: Annotated[
-        list[str],
-        typer.Option("--parameter", metavar="NAME", help="Parameter to fit, such as mla_pitch; repeat for several."),
-    ],
-    photons: Annotated[
-        float | None,
-        options.numeric(
-            "Photons counted in a pixel of value 1, for the noise.",
-            "the noise that 'expose' keeps",
-            check=partial(require_number, positive=True),
-        ),
-    ] = None,
-    saturation: Annotated[
-        float | None,
-        options.numeric(
-            "Value from which on pixels are left out as saturated.",
-            "what 'expose' keeps, or none",
-            unit="VALUE",
-            check=partial(require_number, positive=True),
-        ),
-    ] = None,
-    mask: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.png", help="Picture of the captures' size, not black where pixels are left out."),
-    ] = None,
-    camera: options.CameraFile = None,
-    start: Annotated[
-        bool, typer.Option("--lattice-from-first", help="Take the lattice's start from the first capture, of white.")
-    ] = False,
-    wavelength: Annotated[float | None, options.wavelength_option("the captures', or 633")] = None,
-    points_per_lens: Annotated[
-        int, typer.Option(metavar="N", help="Points of the scene's surfaces for each microlens.")
-    ] = 64,
-    afar: Annotated[
-        bool,
-        typer.Option(
-            "--from-afar",
-            help="Fit coarsely first, by rays and blurred captures: lengths some percent off.",
-        ),
-    ] = False,
-    model: Annotated[
-        choices.Model, typer.Option(help="How light propagates; the ray model has no diffraction.")
-    ] = "wave",
-    accuracy: Annotated[float, options.numeric("Tolerated error of the wave model, for speed; 0: none.")] = 0.0,
+    captures: list[options.CaptureFile],
+    *,
+    output: Annotated[Path, options.ends_in(".json")],
+    scene: list[str],
+    parameter: list[str],
+    photons: options.Positive | None = None,
+    saturation: options.Positive | None = None,
+    mask: Path | None = None,
+    camera: options.CameraFile | None = None,
+    lattice_from_first: bool = False,
+    wavelength: options.Wavelength | None = None,
+    points_per_lens: int = 64,
+    from_afar: bool = False,
+    light: Annotated[dict[str, Any], options_of("extensions.inverse.capture_fit:fit", "model", "accuracy")],
     resume: options.Resume = False,
-    unit: options.Unit = "mm",
+    unit: choices.Unit = "mm",
     define: options.Definitions = None,
 ) -> None:
     """Fit a camera's parameters to captures of known scenes, by the wave or the ray model.
@@ -84,9 +43,34 @@ def fit(
     The fit starts from the captures' own camera, or from --camera. Captures made by 'expose' have the noise and
     saturation of their detector. Joint changes of several parameters that hardly change the captures are printed.
 
-    [bold]Example:[/bold]
+    Parameters
+    ----------
+    captures : CAPTURE.exr...
+        Captures of known scenes by one camera.
+    output : FILE.json
+        File to write: the camera.
+    scene
+        What each capture shows, in their order: a file or a built-in scene.
+    parameter : NAME
+        Parameter to fit, such as mla_pitch; repeat for several.
+    photons
+        Photons counted in a pixel of value 1, for the noise. Default: the noise that 'expose' keeps.
+    saturation : VALUE
+        Value from which on pixels are left out as saturated. Default: what 'expose' keeps, or none.
+    mask : FILE.png
+        Picture of the captures' size, not black where pixels are left out.
+    lattice_from_first
+        Take the lattice's start from the first capture, of white.
+    wavelength : NM
+        Of waves: wavelength in nanometres. Default: the captures', or 633.
+    points_per_lens
+        Points of the scene's surfaces for each microlens.
+    from_afar
+        Fit coarsely first, by rays and blurred captures: lengths some percent off.
 
-      mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
+    Examples
+    --------
+    $ mitsuba-plenoptic fit raw.exr --scene letters --photons 2000 --parameter mla_pitch -o camera.json
     """
     import numpy as np
 
@@ -96,8 +80,8 @@ def fit(
     from . import fitting
     from .point_rays import vector_of
 
-    if len(scenes) != len(captures):
-        raise typer.BadParameter(f"{len(captures)} captures and {len(scenes)} scenes", param_hint="--scene")
+    if len(scene) != len(captures):
+        raise typer.BadParameter(f"{len(captures)} captures and {len(scene)} scenes", param_hint="--scene")
     require_apart(require_writable(output), *captures, mask)
     read = [read_capture(path) for path in captures]
     noises = [fitting.noise_of(capture) for capture in read]
@@ -118,20 +102,20 @@ def fit(
             )
     first = inputs.named_camera(camera) or read[0].camera
     first.require_array("fit")
-    if start:
+    if lattice_from_first:
         first = fitting.lattice_from_white(first, read[0].image)
     wavelength_of_all = wavelength or read[0].wavelength or 633.0
     if isinstance(wavelength_of_all, tuple):
         raise InputError(f"{captures[0]}: it has several wavelengths; a camera is fitted to captures of one")
     # Light is found below, which takes much longer than seeing what is asked for.
-    vector_of(first, names)
+    vector_of(first, parameter)
     views = []
-    for name, capture, (noise, full) in zip(scenes, read, noises, strict=True):
-        scene = load_scene(name, variant=DEFAULT_VARIANT, parameters=inputs.parse_definitions(define), unit=unit)
+    for name, capture, (noise, full) in zip(scene, read, noises, strict=True):
+        loaded = load_scene(name, variant=DEFAULT_VARIANT, parameters=inputs.parse_definitions(define), unit=unit)
         inputs.require_in_use(name, inputs.parse_definitions(define))
         view = fitting.known_view(
             capture.image,
-            scene,
+            loaded,
             first,
             wavelength=wavelength_of_all,
             points_per_lens=points_per_lens,
@@ -143,20 +127,19 @@ def fit(
     # The coarse fit's stays until the end, as the fine fit starts, and has its bounds, from there.
     coarse = stopping.checkpoint_of(output, resume, output.with_name(f"{output.name}.coarse{CHECKPOINT_SUFFIX}"))
     with coarse, stopping.checkpoint_of(output, resume) as steps:
-        if afar:
+        if from_afar:
             with progress_bar("Coarse fit") as progress, stopping.resumable(progress, coarse):
                 first = fitting.coarse_fit(
-                    first, views, names, wavelength=wavelength_of_all, progress=progress, checkpoint=coarse
+                    first, views, parameter, wavelength=wavelength_of_all, progress=progress, checkpoint=coarse
                 )
         with progress_bar("Cameras") as progress, stopping.resumable(progress, steps):
             result = fitting.fit(
                 first,
                 views,
-                names,
+                parameter,
                 wavelength=wavelength_of_all,
                 photons=photons,
-                model=model,
-                accuracy=accuracy,
+                **light,
                 progress=progress,
                 checkpoint=steps,
             )

@@ -7,9 +7,7 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"onchip": "onchip"},
-    commands={
-        "dual": ("dual_command", "Show the pictures of dual or quad pixels, one for each photodiode of a lens."),
-    },
+    commands={"dual": "dual_command"},
     parameters={"photodiode_response": "parameter:PHOTODIODE_RESPONSE"},
     responses={"photodiode_response": "photodiode_table:PhotodiodeTable"},
     presets=dict.fromkeys(("full_frame_dual", "phone_quad", "phone_quad_bayer"), "cameras:CAMERAS"),

@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from ... import choices
 from ...cli import inputs, options
-from ...refocus_options import with_parameters
 
 
-@partial(with_parameters, parameters=options.PICTURE)
 def dual(
     capture: options.CaptureFile,
-    output: Annotated[
-        Path,
-        options.output_option(
-            "FILE",
-            "File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in "
-            ".exr, the pictures side by side if in .png, a labelled figure if in .pdf.",
-            *choices.PICTURES,
-        ),
-    ],
-    layout: Annotated[
-        Literal["2x1", "1x2", "2x2"],
-        typer.Option(help="Photodiodes of a lens: beside each other, above, or four."),
-    ] = "2x1",
-    **brightness: Any,
+    *,
+    output: Annotated[Path, options.ends_in(*choices.PICTURES)],
+    layout: Literal["2x1", "1x2", "2x2"] = "2x1",
+    picture: options.Picture,
 ) -> None:
     """Show the pictures of dual or quad pixels, one for each photodiode of a lens.
 
     The camera's microlenses must cover 2 x 2 pixels each, as in the presets full_frame_dual, phone_quad and
     phone_quad_bayer. Objects nearer than the plane in focus lie further to the right in the left picture.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        File to write: OpenEXR with the parts left, right and sum (or top and bottom, or four) if it ends in .exr, the
+        pictures side by side if in .png, a labelled figure if in .pdf.
+    layout
+        Photodiodes of a lens: beside each other, above, or four.
 
-      mitsuba-plenoptic dual raw.exr -o halves.exr
-
-      mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
+    Examples
+    --------
+    $ mitsuba-plenoptic dual raw.exr -o halves.exr
+    $ mitsuba-plenoptic dual raw.exr -o quarters.png --layout 2x2
     """
     import numpy as np
 
@@ -51,7 +45,7 @@ def dual(
     from .halves import dual_pixel, photodiode_names
 
     require_apart(require_picture_path(output), capture)
-    drawing = inputs.drawing_of(brightness, output)
+    drawing = inputs.drawing_of(picture, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))
     white = drawing.brightness.peak([halves.values])

@@ -6,7 +6,5 @@ Pictures of real light are read by the extension `calibrate`, and deconvolved by
 from ...extension import Extension
 
 EXTENSION = Extension(
-    commands={
-        "reproduce": ("reproduce_command", "Compute the paper's figures, timing and conclusions again."),
-    }
+    commands={"reproduce": "reproduce_command"},
 )

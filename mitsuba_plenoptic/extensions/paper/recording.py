@@ -23,7 +23,7 @@ from ...errors import naming, refuse_if, refusing, require_choice, require_numbe
 from ...io import Capture
 from ...runtime import Floats, read_text
 from ...views import lens_numbers
-from ..calibrate.white_command import sensor_values
+from ..calibrate.white_result import sensor_values
 
 _AREAS = ("region", "even", "edge")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
@@ -12,41 +12,35 @@ from ...errors import refuse_if
 
 
 def reproduce(
+    *,
     output: options.OutputFolder,
-    preset: Annotated[
-        Literal["quick", "paper"] | None,
-        typer.Option(
-            show_default="quick",
-            help="A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels, "
-            "and figures as PDF, too.",
-        ),
-    ] = None,
-    real: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            show_default=False,
-            help="Judge real light instead: a folder with light, white and dark (.png, .tiff or .exr), camera.json "
-            "and shapes.json.",
-        ),
-    ] = None,
-    wavelength: Annotated[float | None, options.numeric("Of real light, as waves.", "550", unit="NM")] = None,
+    preset: Literal["quick", "paper"] | None = None,
+    real: Path | None = None,
+    wavelength: float | None = None,
     resume: options.Resume = False,
 ) -> None:
     """Compute the paper's figures, timing and conclusions again.
 
-    Writes figures, captures and reconstructions, all results and report.html,
-    which shows them in a browser. Valid results that the folder already
-    holds are reused: a run that was stopped resumes where it was, even within
-    the wave capture.
+    Writes figures, captures and reconstructions, all results and report.html, which shows them in a browser. Valid
+    results that the folder already holds are reused: a run that was stopped resumes where it was, even within the wave
+    capture.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    preset
+        A detector of half the width with letters of half the size, or the paper's 4096 x 4096 pixels, and figures as
+        PDF, too. Default: quick.
+    real : FOLDER
+        Judge real light instead: a folder with light, white and dark (.png, .tiff or .exr), camera.json and
+        shapes.json.
+    wavelength : NM
+        Of real light, as waves. Default: 550.
 
-      mitsuba-plenoptic reproduce -o demo
-
-      mitsuba-plenoptic reproduce --preset paper -o paper
-
-      mitsuba-plenoptic reproduce --real letters -o real
+    Examples
+    --------
+    $ mitsuba-plenoptic reproduce -o demo
+    $ mitsuba-plenoptic reproduce --preset paper -o paper
+    $ mitsuba-plenoptic reproduce --real letters -o real
     """
     refuse_if(real is not None and preset is not None, "--preset: with --real it has no use; leave it out")
     refuse_if(real is None and wavelength is not None, "--wavelength: it is for --real; leave it out")

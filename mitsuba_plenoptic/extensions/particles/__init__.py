@@ -7,11 +7,6 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"particles": "particles"},
-    commands={
-        "particles": (
-            "particles_command",
-            "Capture particles in a flow at several times, with their exact displacements.",
-        ),
-    },
+    commands={"particles": "particles_command"},
     generators={"particles": "particle_pairs:ParticlePairs"},
 )

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ... import choices
-from ...cli import inputs, options, stopping
-from ...errors import naming, refuse_if, refusing, require_choice, require_count, require_known, short_repr
+from ...cli import inputs, options, options_of, stopping
+from ...errors import naming, refuse_if, refusing, require_choice, require_known, short_repr
 from ...runtime import progress_bar
 
 if TYPE_CHECKING:
@@ -19,66 +18,51 @@ if TYPE_CHECKING:
 
 
 def particles(
+    *,
     output: options.OutputFolder,
-    volume: Annotated[
-        str,
-        typer.Option(
-            metavar="X,Y,Z,X,Y,Z", help="Two corners of the box with the particles, in mm of the camera's frame."
-        ),
-    ],
-    flow: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME[:KEY=VALUE,...]",
-            help="The flow: uniform, shear, taylor_green, lamb_oseen, hill, or file:FILE.nc; its parameters, such as "
-            "hill:speed=4,radius=5, in mm and mm/s; its centre=X/Y/Z is that of the volume by default.",
-        ),
-    ],
-    interval: Annotated[float, options.numeric("Time from frame to frame.", unit="SECONDS")],
-    camera: options.CameraFile = None,
-    frames: Annotated[int, options.numeric("Number of frames.", check=require_count)] = 2,
-    per_lens: Annotated[
-        float | None, options.numeric("Particles over the microlenses on which the volume is imaged; give one density.")
-    ] = None,
-    per_volume: Annotated[float | None, options.numeric("Particles in a cubic millimetre.")] = None,
-    count: Annotated[float | None, options.numeric("Mean number of particles in the volume.")] = None,
-    diameter: Annotated[float, options.numeric("Median diameter of particles.", unit="UM")] = 10.0,
-    spread: Annotated[float, options.numeric("Standard deviation of the logarithm of diameters.")] = 0.0,
-    index: Annotated[float, options.numeric("Refractive index of particles.")] = 1.59,
-    medium: Annotated[float, options.numeric("Refractive index of the fluid.")] = 1.333,
-    window: Annotated[
-        float | None, options.numeric("Position z of the fluid's plane window.", "near face of the volume", unit="MM")
-    ] = None,
-    direction: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help="Direction in which the sheet's light travels.")
-    ] = "1,0,0",
-    thickness: Annotated[
-        float | None, options.numeric("Thickness of the light sheet, across the axis.", "light everywhere", unit="MM")
-    ] = None,
-    model: Annotated[choices.Model, typer.Option(help="How light propagates.")] = "wave",
-    wavelength: Annotated[float, options.wavelength_option(None)] = 550.0,
-    accuracy: Annotated[float | None, options.numeric("Allowed relative error of captures by waves.", "0.01")] = None,
-    photons: Annotated[
-        float | None,
-        options.numeric("Record with noise: photons of a mean particle through the pupil.", "without noise", unit="N"),
-    ] = None,
-    seed: options.Seed = 0,
+    volume: str,
+    flow: str,
+    camera: options.CameraFile | None = None,
+    photons: float | None = None,
     resume: options.Resume = False,
+    sequence: Annotated[
+        dict[str, Any], options_of("extensions.particles.sequence:particle_sequence", "interval", "frames", "seed")
+    ],
+    seeding: Annotated[dict[str, Any], options_of("extensions.particles.seeding:Seeding")],
+    direction: str = "1,0,0",
+    thickness: float | None = None,
+    light: Annotated[
+        dict[str, Any], options_of("extensions.particles.particle_images:ParticleImages", "model", "accuracy")
+    ],
+    wavelength: options.Wavelength = 550.0,
 ) -> None:
     """Capture particles in a flow at several times, with their exact displacements.
 
-    Writes the folder's particles.nc, NetCDF with all positions and
-    displacements, and a capture of each frame, such as wave_0000.exr. The same
-    command with another model captures the same particles. Pixels are in units
-    of a mean particle, the sum of whose pixels is 1. 'expose' records
-    captures with other detectors than the one of --photons.
+    Writes the folder's particles.nc, NetCDF with all positions and displacements, and a capture of each frame, such as
+    wave_0000.exr. The same command with another model captures the same particles. Pixels are in units of a mean
+    particle, the sum of whose pixels is 1. 'expose' records captures with other detectors than the one of --photons.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    volume : X,Y,Z,X,Y,Z
+        Two corners of the box with the particles, in mm of the camera's frame.
+    flow : NAME[:KEY=VALUE,...]
+        The flow: uniform, shear, taylor_green, lamb_oseen, hill, or file:FILE.nc; its parameters, such as
+        hill:speed=4,radius=5, in mm and mm/s; its centre=X/Y/Z is that of the volume by default.
+    direction : X,Y,Z
+        Direction in which the light of the sheet travels.
+    thickness
+        Thickness in millimetres of the light sheet, across the axis. Default: light everywhere.
+    wavelength
+        Wavelength in vacuum, in nanometres.
+    photons
+        Record with noise: photons of a mean particle through the pupil. Default: without noise.
 
-      mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
+    Examples
+    --------
+    $ mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
       --flow hill:speed=4,radius=5 --interval 0.1
-
-      mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
+    $ mitsuba-plenoptic particles -o pair --volume -6,-6,230,6,6,250 --per-lens 0.05
       --flow hill:speed=4,radius=5 --interval 0.1 --model ray --photons 1e5
     """
     from ...camera import PlenopticCamera
@@ -91,20 +75,20 @@ def particles(
     truth = particle_sequence(
         inputs.named_camera(camera) or PlenopticCamera(),
         box,
-        Seeding(per_lens, per_volume, count, diameter, spread, index, medium, window),
+        Seeding(**seeding),
         _flow(flow, FLOWS, box.centre),
-        interval=interval,
-        frames=frames,
-        sheet=LightSheet(direction=_numbers("direction", direction, 3), thickness=thickness),
-        seed=seed,
+        sheet=LightSheet(_numbers("direction", direction, 3), thickness),
+        **sequence,
     )
-    images = ParticleImages(truth, wavelength=wavelength, model=model, accuracy=accuracy)
+    images = ParticleImages(truth, wavelength=wavelength, **light)
     with refusing(f"{output}: no folder can be made there", OSError):
         output.mkdir(parents=True, exist_ok=True)
     path = output / "particles.nc"
     write_labelled_data(path, truth)
     lit = int((truth["inside"][0].values * (truth["irradiance"][0].values > 0)).sum())
     typer.echo(f"{path}: {truth.sizes['particle']} particles, {lit} of them lit in the first frame")
+    model = light["model"]
+    frames = sequence["frames"]
     for frame in range(frames):
         path = output / f"{model}_{frame:04d}.exr"
         with stopping.checkpoint_of(path, resume) as saved, progress_bar(f"Frame {frame + 1} of {frames}") as progress:
@@ -112,7 +96,7 @@ def particles(
             with stopping.resumable(progress, saved):
                 capture = images.capture(frame, progress=progress, checkpoint=saved)
             if photons is not None:
-                capture = expose(capture, Detector(), photons=photons, seed=seed + frame)
+                capture = expose(capture, Detector(), photons=photons, seed=sequence["seed"] + frame)
             write_capture(path, capture)
         typer.echo(f"{path}: capture by {model}s at {float(truth['time'][frame]):g} s")
 

@@ -223,7 +223,7 @@ class Seeding:
     Parameters
     ----------
     per_lens : float, optional
-        Particles in the volume over the microlenses on which its middle plane is imaged. Give this, `per_volume` or
+        Particles in the volume over the microlenses on which its middle plane is imaged; give this, `per_volume` or
         `count`.
     per_volume : float, optional
         Particles in a cubic millimetre.

@@ -11,7 +11,7 @@ import typer
 from ...camera import PlenopticCamera
 from ...errors import naming, refuse_if, refusing
 from ...io import Cache, StageOptions, write_json
-from ..calibrate.white_command import sensor_values
+from ..calibrate.white_result import sensor_values
 from .real_page import write_page
 from .study import Pictures, Study
 

@@ -7,9 +7,7 @@ from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
     modules={"exchange": "exchange"},
-    commands={
-        "demosaic": ("demosaic_command", "Estimate all three colours of every pixel, micro-image by micro-image."),
-    },
+    commands={"demosaic": "demosaic_command"},
     formats={
         **dict.fromkeys((".lfp", ".lfr", ".raw"), FileFormat("capture", "lytro_file:read_lytro")),
         "parameters.cfg": FileFormat("light field", "hci:read_hci", "hci:write_hci"),

@@ -16,29 +16,13 @@ from ...runtime import progress_bar
 
 def demosaic(
     capture: options.CaptureFile,
-    output: Annotated[Path, options.output_option("FILE.exr", "File to write.", ".exr")],
-    mosaic: Annotated[
-        choices.Mosaic | None,
-        typer.Option(
-            show_default="as the capture states",
-            help="Colour filters of the first pixels of two rows.",
-        ),
-    ] = None,
-    white: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE|FOLDER",
-            show_default="computed from the camera",
-            help="A capture or picture of a white scene by the same camera, without a mosaic; for a raw picture of a "
-            "Lytro camera its white picture, or a folder of them, of which the nearest in zoom and focus is taken.",
-        ),
-    ] = None,
-    camera: options.CameraFile = None,
-    linear: options.Linear = False,
-    black_level: Annotated[
-        float,
-        options.numeric("Number without light in a raw picture, in its own numbers; needs --camera and --linear."),
-    ] = 0,
+    *,
+    output: Annotated[Path, options.ends_in(".exr")],
+    mosaic: choices.Mosaic | None = None,
+    white: Path | None = None,
+    camera: options.CameraFile | None = None,
+    linear: bool = False,
+    black_level: float = 0,
 ) -> None:
     """Estimate all three colours of every pixel, micro-image by micro-image.
 
@@ -46,15 +30,25 @@ def demosaic(
     needed, and so do raw pictures of Lytro cameras (.lfp or .lfr); for another real camera give its
     [bold]--camera[/bold]. White pictures of a Lytro camera also correct pitches, rotation and offset of its lenses.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE.exr
+        File to write.
+    mosaic
+        Colour filters of the first pixels of two rows. Default: as the capture states.
+    white : FILE|FOLDER
+        A capture or picture of a white scene by the same camera, without a mosaic; for a raw picture of a Lytro
+        camera its white picture, or a folder of them, of which the nearest in zoom and focus is taken. Default:
+        computed from the camera.
+    black_level
+        Number without light in a raw picture, in its own numbers; needs --camera and --linear.
 
-      mitsuba-plenoptic demosaic bayer.exr -o colours.exr
-
-      mitsuba-plenoptic demosaic bayer.tiff -o colours.exr
-
-      mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
-
-      mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
+    Examples
+    --------
+    $ mitsuba-plenoptic demosaic bayer.exr -o colours.exr
+    $ mitsuba-plenoptic demosaic bayer.tiff -o colours.exr
+    $ mitsuba-plenoptic demosaic raw.tiff -o colours.exr --mosaic GRBG --camera lytro --linear
+    $ mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
     from ...io import mosaic_of, read_capture, write_capture
     from ...runtime import require_apart, require_writable

@@ -3,7 +3,5 @@
 from ...extension import Extension
 
 EXTENSION = Extension(
-    commands={
-        "mtf": ("mtf_command", "Measure the modulation transfer function from one slanted edge in a refocused image."),
-    },
+    commands={"mtf": "mtf_command"},
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -16,27 +16,14 @@ if TYPE_CHECKING:
 
 
 def mtf(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            metavar="CAPTURE",
-            help="A capture, which is refocused to --distance, one without microlenses, or what 'reconstruct' wrote.",
-            callback=options.RECORDING,
-        ),
-    ],
-    distance: Annotated[float | None, options.numeric("Of a capture: distance to refocus to.", unit="MM")] = None,
-    method: Annotated[
-        options.Method | None, typer.Option(show_default="ray", help="Of a capture: how it is refocused.")
-    ] = None,
-    oversample: Annotated[int | None, options.numeric("Of a capture: bins per microlens along each axis.", "1")] = None,
-    region: Annotated[
-        str | None,
-        typer.Option(
-            metavar="LEFT,TOP,WIDTH,HEIGHT", show_default="all", help="Bins to look at, where there are several edges."
-        ),
-    ] = None,
-    camera: options.CameraFile = None,
-    linear: options.Linear = False,
+    source: options.CaptureFile,
+    *,
+    distance: float | None = None,
+    method: options.Method | None = None,
+    oversample: int | None = None,
+    region: str | None = None,
+    camera: options.CameraFile | None = None,
+    linear: bool = False,
 ) -> None:
     """Measure the modulation transfer function from one slanted edge in a refocused image.
 
@@ -44,13 +31,24 @@ def mtf(
     edge, for camera and reconstruction together, in cycles per bin and in line pairs per millimetre of the object. In a
     capture without a microlens array, bins are pixels, and millimetres are those of the plane in focus.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    source : CAPTURE
+        A capture, which is refocused to --distance, one without microlenses, or what 'reconstruct' wrote.
+    distance : MM
+        Of a capture: distance to refocus to.
+    method
+        Of a capture: how it is refocused. Default: ray.
+    oversample
+        Of a capture: bins per microlens along each axis. Default: 1.
+    region : LEFT,TOP,WIDTH,HEIGHT
+        Bins to look at, where there are several edges. Default: all.
 
-      mitsuba-plenoptic mtf raw.exr --distance 240
-
-      mitsuba-plenoptic mtf out.exr --region 20,30,60,40
-
-      mitsuba-plenoptic mtf photograph.exr
+    Examples
+    --------
+    $ mitsuba-plenoptic mtf raw.exr --distance 240
+    $ mitsuba-plenoptic mtf out.exr --region 20,30,60,40
+    $ mitsuba-plenoptic mtf photograph.exr
     """
     named_camera = inputs.named_camera(camera)
     if distance is not None:

@@ -3,11 +3,7 @@
 from ...extension import Extension
 
 EXTENSION = Extension(
-    commands={
-        "preview": ("preview_command", "See in seconds what a camera will see of a scene, before it is captured."),
-        "view": ("view_command", "Make a page to look at a capture: viewpoint, focus, micro-images."),
-        "sweep": ("sweep_command", "Render a scene over a grid of cameras and wavelengths, refocus to distances."),
-    },
+    commands={"preview": "preview_command", "view": "view_command", "sweep": "sweep_command"},
     displays={
         "Capture": "thumbnails:show_capture",
         "PlenopticCamera": "thumbnails:show_camera",

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ... import choices
 from ...cli import inputs, options
 from ...errors import InputError
 from ...runtime import in_words, progress_bar
@@ -14,18 +15,14 @@ from ...runtime import in_words, progress_bar
 
 def preview(
     scene: options.Scene,
-    output: Annotated[
-        Path | None,
-        options.output_option("FILE", "Picture to write, .png or .pdf. Default: SCENE.preview.png.", ".png", ".pdf"),
-    ] = None,
-    camera: options.CameraFile = None,
-    dpi: options.Dpi = None,
-    unit: options.Unit = "mm",
-    waves: Annotated[
-        bool, typer.Option("--waves", help="Estimate what a wave capture takes, too, which may take a while.")
-    ] = False,
-    spp: options.Samples = None,
-    variant: options.Variant = None,
+    *,
+    output: Annotated[Path, options.ends_in(".png", ".pdf")] | None = None,
+    camera: options.CameraFile | None = None,
+    dpi: options.Dpi | None = None,
+    unit: choices.Unit = "mm",
+    waves: bool = False,
+    spp: options.Count | None = None,
+    variant: options.Variant | None = None,
     define: options.Definitions = None,
 ) -> None:
     """See in seconds what a camera will see of a scene, before it is captured.
@@ -35,13 +32,18 @@ def preview(
     what is in focus is tinted yellow. The command prints the field, the micro-images, faults of the framing, and the
     time of a ray capture, with --waves of a wave capture.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE
+        Picture to write, .png or .pdf. Default: SCENE.preview.png.
+    waves
+        Estimate what a wave capture takes, too, which may take a while.
 
-      mitsuba-plenoptic preview letters
-
-      mitsuba-plenoptic preview my_scene.xml --camera lytro
-
-      mitsuba-plenoptic preview beads
+    Examples
+    --------
+    $ mitsuba-plenoptic preview letters
+    $ mitsuba-plenoptic preview my_scene.xml --camera lytro
+    $ mitsuba-plenoptic preview beads
     """
     from ...camera import PlenopticCamera
     from ...optics import guards

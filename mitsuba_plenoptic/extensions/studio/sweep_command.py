@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ... import choices
 from ...cli import inputs, options, stopping
 from ...errors import refuse_if, refusing, short_repr
 
@@ -21,51 +22,46 @@ def _require_numbers(option: str, text: str) -> None:
 
 def sweep(
     scene: options.Scene,
-    output: Annotated[Path, options.output_option("FILE.nc", "NetCDF file to write.", ".nc")],
-    grid: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.yaml", help="The grid: names, each with a list of numbers.", callback=options.EXISTING
-        ),
-    ] = None,
-    vary: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=V1,V2,...",
-            help="One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data "
-            "sheet, 'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.",
-            callback=options.checked(_require_numbers),
-        ),
-    ] = None,
-    model: options.Model = None,
-    method: Annotated[
-        options.Method | None, typer.Option(show_default="ray", help="How captures are refocused.")
-    ] = None,
-    spp: options.Samples = None,
+    *,
+    output: Annotated[Path, options.ends_in(".nc")],
+    grid: options.Existing | None = None,
+    vary: Annotated[list[str], options.checked(_require_numbers)] | None = None,
+    model: choices.Model | None = None,
+    method: options.Method | None = None,
+    spp: options.Count | None = None,
     seed: options.Seed = 0,
     resume: options.Resume = False,
-    workers: options.Workers = None,
-    scheduler: options.Scheduler = None,
-    camera: options.CameraFile = None,
-    unit: options.Unit = "mm",
+    workers: options.Workers | None = None,
+    scheduler: options.Scheduler | None = None,
+    camera: options.CameraFile | None = None,
+    unit: choices.Unit = "mm",
     define: options.Definitions = None,
-    variant: options.Variant = None,
+    variant: options.Variant | None = None,
 ) -> None:
     """Render a scene over a grid of cameras and wavelengths, refocus to distances.
 
-    Writes one labelled dataset, which xarray opens. Every point is stored in a
-    folder next to it (FILE.points): a sweep that was stopped, or whose grid has
-    grown, computes only what is missing.
+    Writes one labelled dataset, which xarray opens. Every point is stored in a folder next to it (FILE.points): a sweep
+    that was stopped, or whose grid has grown, computes only what is missing.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    output : FILE.nc
+        NetCDF file to write.
+    grid : FILE.yaml
+        The grid: names, each with a list of numbers.
+    vary : NAME=V1,V2,...
+        One name of the grid and its values: a $NAME of the scene, a parameter of the camera or of its data sheet,
+        'wavelength' in nanometres, or 'distance' to refocus to; repeat for several.
+    method
+        How captures are refocused. Default: ray.
 
-      mitsuba-plenoptic sweep letters -o sweep.nc --vary aperture_radius=3,4,5
+    Examples
+    --------
+    $ mitsuba-plenoptic sweep letters -o sweep.nc --vary aperture_radius=3,4,5
       --vary distance=210,240,280
-
-      mitsuba-plenoptic sweep letters -o colours.nc --model wave
+    $ mitsuba-plenoptic sweep letters -o colours.nc --model wave
       --vary wavelength=450,550,633 --workers 4
-
-      mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
+    $ mitsuba-plenoptic sweep letters -o sweep.nc --grid sweep.yaml
     """
     # Datasets need libraries that take a second to load, which other commands need not wait for.
     from ...camera import MATCHED, PARAMETERS

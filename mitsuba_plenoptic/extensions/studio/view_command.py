@@ -13,23 +13,13 @@ from ...runtime import progress_bar
 
 
 def view(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCE",
-            help="One or two captures or light fields to be compared, and what was computed of them: focal stacks, "
-            "reconstructions, a depth map.",
-            callback=options.RECORDING,
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        options.output_option("FILE.html", "File to write. Default: named as the first source.", ".html"),
-    ] = None,
-    white: options.White = None,
-    view_count: options.ViewCount = None,
-    linear: options.Linear = False,
-    camera: options.CameraFile = None,
+    sources: list[options.CaptureFile],
+    *,
+    output: Annotated[Path, options.ends_in(".html")] | None = None,
+    white: options.Existing | None = None,
+    view_count: int | None = None,
+    linear: bool = False,
+    camera: options.CameraFile | None = None,
 ) -> None:
     """Make a page to look at a capture: viewpoint, focus, micro-images.
 
@@ -37,13 +27,19 @@ def view(
     viewpoint, click to refocus. The page refocuses by rays, from views of the capture; given reconstructions and focal
     stacks are shown as computed.
 
-    [bold]Examples:[/bold]
+    Parameters
+    ----------
+    sources : SOURCE
+        One or two captures or light fields to be compared, and what was computed of them: focal stacks,
+        reconstructions, a depth map.
+    output : FILE.html
+        File to write. Default: named as the first source.
 
-      mitsuba-plenoptic view raw.exr
-
-      mitsuba-plenoptic view ray.exr wave.exr -o compare.html
-
-      mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
+    Examples
+    --------
+    $ mitsuba-plenoptic view raw.exr
+    $ mitsuba-plenoptic view ray.exr wave.exr -o compare.html
+    $ mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
     from ...runtime import require_apart, require_writable
     from .viewer import Recording

@@ -81,7 +81,7 @@ def corners(pictures, tmp_path_factory):
     (folder / "camera.json").write_text(CAMERA.to_json())
     output = folder / "corners.csv"
     given = ["--board", "4x3", "--camera", str(folder / "camera.json"), "-o", str(output)]
-    assert main(["calibrate", *names, *given]) == 0
+    assert main(["calibrate", "corners", *names, *given]) == 0
     return read_corners(output, BOARD, CAMERA.crop_size)
 
 

@@ -245,7 +245,7 @@ def test_the_command_names_what_corners_leave_open(tmp_path, run):
     rows = np.column_stack(list(few.columns.values()))
     np.savetxt(path, rows, delimiter=",", header=",".join(few.columns), comments="")
     start.write_text(START.to_json())
-    printed = run("calibrate", path, "--board", "6x4", "--square", "6", "--camera", start, "-o", output)
+    printed = run("calibrate", "boards", path, "--board", "6x4", "--square", "6", "--camera", start, "-o", output)
     assert "leave the focal length open; with +" in printed and "go mla_distance +" in printed
     assert "boards in other poses are predicted to 0." in printed
     record = json.loads(output.read_text())["calibration"]
@@ -271,8 +271,8 @@ def test_a_real_camera(tmp_path, run):
     text = (Path(__file__).parents[3] / "docs" / "guides" / "calibration.md").read_text()
     start.write_text(text.split("```json\n")[1].split("```")[0])
     board, centres = ["--board", "9x5", "--square", "10"], cases.REAL / "centres.csv"
-    run("calibrate", corners, *board, "--camera", start, "--centres", centres, "-o", output)
-    *_, last = run("calibrate", "--evaluate", corners, "--camera", output, *board).splitlines()
+    run("calibrate", "boards", corners, *board, "--camera", start, "--centres", centres, "-o", output)
+    *_, last = run("calibrate", "evaluate", corners, "--camera", output, *board).splitlines()
     error, rest = last.removeprefix("reprojection error ").split(" ", 1)
     assert rest == "px over 12433 observations of 11 poses"
     assert float(error) <= 0.965
@@ -299,10 +299,7 @@ def test_mistakes(mistake, tmp_path_factory, monkeypatch):
     monkeypatch.chdir(tmp_path_factory.mktemp("files"))
     for name in ("a.png", "w.png", "a.csv", "b.csv", "c.csv"):
         Path(name).write_text("k,l")
-    mistake("calibrate c.csv -o {out}.json --report {out}.json", "two results would be written to it")
-    mistake("calibrate w.png -o {out}.csv --board 9x5 --square 3", "--square: detecting corners")
-    mistake("calibrate --evaluate c.csv --white {raw}", "--white: ")
-    mistake("calibrate a.png --board 4x3 -o {out}.csv", "need a white image")
-    mistake("calibrate a.png b.csv --board 4x3 -o {out}.csv", "one table of corners")
-    mistake("calibrate a.png --report a.html -o {out}.csv", "a report is of a calibration")
-    mistake("calibrate --evaluate a.csv -o {out}.csv", "writes no file")
+    mistake("calibrate white a.png --camera paper -o {out}.json --report {out}.json", "give a name that ends in .html")
+    mistake("calibrate corners w.png -o {out}.csv --board 9x5 --square 3", "no such option: --square")
+    mistake("calibrate corners a.png --board 4x3 -o {out}.csv", "give a white picture")
+    mistake("calibrate centres a.png b.csv -o {out}.csv", "b.csv: it is text")

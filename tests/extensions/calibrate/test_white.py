@@ -80,7 +80,7 @@ def test_centres_that_dust_displaces_are_doubtful(tmp_path, capsys):
         image *= 1 - 0.7 * np.clip(2.5 + 2 * (number % 4) - np.hypot(x - column, y - row), 0, 1)
     camera = CAMERA.replace(resolution=(395, 390), detector_width=395 * 0.0055)
     write_capture(tmp_path / "white.exr", Capture(image.astype(np.float32), camera))
-    assert main(["calibrate", str(tmp_path / "white.exr"), "-o", str(tmp_path / "centres.csv")]) == 0
+    assert main(["calibrate", "centres", str(tmp_path / "white.exr"), "-o", str(tmp_path / "centres.csv")]) == 0
     found = read_centres(tmp_path / "centres.csv")
     error = np.array([np.hypot(*(true - place - 0.5).T).min() for place in found.pixel])
     doubtful = found["doubtful"] == 1
@@ -103,7 +103,7 @@ def test_centres_at_several_apertures(tmp_path, capsys):
     for path, camera in zip(paths, apertures, strict=True):
         image = generator.poisson(PHOTONS * white_image(camera)) / PHOTONS
         write_capture(path, Capture(image.astype(np.float32), camera))
-    assert main(["calibrate", *paths, "-o", str(tmp_path / "centres.csv")]) == 0
+    assert main(["calibrate", "centres", *paths, "-o", str(tmp_path / "centres.csv")]) == 0
     assert float(capsys.readouterr().out.partition("turned by ")[2].split()[0]) == pytest.approx(0.3, abs=1e-3)
     found, true = read_centres(tmp_path / "centres.csv").pixel, camera_centres(CAMERA).pixel
     error = np.array([(true - place)[np.hypot(*(true - place).T).argmin()] for place in found])

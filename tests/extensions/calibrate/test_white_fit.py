@@ -219,7 +219,7 @@ def test_the_command_writes_a_camera_and_a_page(tmp_path, capsys, coarse_figures
         Image.fromarray(values.clip(0).astype(np.uint16)).save(tmp_path / f"{name}.tif")
     (tmp_path / "known.json").write_text(SMALL.replace(resolution=(100, 100), detector_width=100 / 150).to_json())
     files = {name: str(tmp_path / name) for name in ("white.tif", "dark.tif", "known.json", "camera.json", "page.html")}
-    words = ["calibrate", files["white.tif"], "--dark", files["dark.tif"], "--camera", files["known.json"]]
+    words = ["calibrate", "white", files["white.tif"], "--dark", files["dark.tif"], "--camera", files["known.json"]]
     assert main([*words, "--model", "ray", "-o", files["camera.json"], "--report", files["page.html"]]) == 0
     assert "places: 0.0" in capsys.readouterr().out
     camera, record = camera_and_record(files["camera.json"])

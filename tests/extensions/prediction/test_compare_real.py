@@ -11,7 +11,7 @@ from PIL import Image
 from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.extensions.calibrate.white_command import sensor_values
+from mitsuba_plenoptic.extensions.calibrate.white_result import sensor_values
 from mitsuba_plenoptic.extensions.prediction import point_patterns, study
 from mitsuba_plenoptic.extensions.prediction.withheld import TESTS, Ratio
 from mitsuba_plenoptic.views import white_image

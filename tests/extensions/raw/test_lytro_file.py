@@ -199,7 +199,8 @@ def test_a_white_picture_corrects_the_array(lytro, tmp_path, run):
 
 def test_a_mosaic_needs_to_be_demosaiced(lytro, tmp_path, complaint):
     photo = lytro[0] / "photo.lfr"
-    for words in (["reconstruct", "--distance", "inf"], ["views"], ["calibrate"]):
+    for words in (["reconstruct", "--distance", "inf"], ["views"]):
         assert "demosaic it first" in complaint(words[0], photo, "-o", tmp_path / "a.png", *words[1:])
+    assert "demosaic it first" in complaint("calibrate", "centres", photo, "-o", tmp_path / "a.csv")
     assert "-D: " in complaint("info", photo, "-D", "a=1")
     assert "no white pictures" in complaint("demosaic", photo, "-o", tmp_path / "a.exr", "--white", tmp_path)

@@ -182,7 +182,7 @@ def rendered(*, cameras: tuple[str, ...] = (), spp: int = 128) -> Iterator[Row]:
             for title, (white, dark, known, wavelength) in pick(sources, cameras).items():
                 light = ("--model", model, *["--wavelength", wavelength] * (model == "wave"))
                 fitted, capture = folder / "fitted.json", folder / "capture.exr"
-                command("calibrate", white, "--dark", dark, "--camera", known, *light, "-o", fitted)
+                command("calibrate", "white", white, "--dark", dark, "--camera", known, *light, "-o", fitted)
                 command("render", folder / "even.xml", "--camera", fitted, *light, "--spp", spp, "-o", capture)
                 recorded, black = (read_picture(path, linear=True).astype(float) for path in (white, dark))
                 simulated = np.squeeze(np.asarray(read_exr(capture)[0]))

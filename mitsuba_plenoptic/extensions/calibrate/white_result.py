@@ -1,53 +1,19 @@
-"""The part of ``mitsuba-plenoptic calibrate`` that fits a camera to a white picture, and the file that it writes."""
+"""Values of white pictures, and what the fit of a camera to one finds, in lines and for the file of the camera."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
 
 from ... import choices
-from ...camera import PlenopticCamera
-from ...errors import InputError, naming
 from ...io import Capture, read_numbers
-from ...runtime import Array, progress_bar, write_text
+from ...runtime import Array
 from ...views import read_recording
-from .photon_transfer import PhotonTransfer, photon_transfer
-from .white_fit import WhiteFit, fit_white
-from .white_page import write_white_report
-
-
-def fit_camera(
-    white: Path,
-    output: Path,
-    camera: PlenopticCamera,
-    dark: Path | None,
-    wavelength: float | None,
-    report: Path | None,
-) -> None:
-    """Fit a camera to a white picture, write the camera as JSON and a report, and print what was found."""
-    light = sensor_values(white)
-    black = None if dark is None else sensor_values(dark)
-    noise: PhotonTransfer | str | None = None
-    if black is not None:
-        try:
-            noise = photon_transfer(light, black)
-        except InputError as error:
-            noise = str(error)
-    with naming(white), progress_bar("Fitting the camera") as progress:
-        fit = fit_white(light, camera, dark=black, wavelength=wavelength, progress=progress)
-    values = {**fit.camera.to_dict(), "calibration": record(fit, noise)}
-    write_text(output, json.dumps(values, indent=1) + "\n", ".json")
-    lines = summary(fit, noise)
-    typer.echo("\n".join(lines))
-    if report is not None:
-        with progress_bar("Simulating the white picture"):
-            write_white_report(report, fit, lines)
-    typer.echo(f"{output}: fitted to {np.count_nonzero(~fit.withheld)} micro-images")
+from .photon_transfer import PhotonTransfer
+from .white_fit import WhiteFit
 
 
 def sensor_values(path: Path) -> Array:
