@@ -60,12 +60,14 @@ def help_text(module: str, name: str = "") -> str:
     examples = dict(zip(sections[::2], sections[1::2], strict=True)).get("Examples", "")
     lines = re.findall(r"^\$ (.*(?:\n  .*)*)", examples, flags=re.MULTILINE)
     title = [f"[bold]Example{'s' * (len(lines) > 1)}:[/bold]"] if lines else []
-    return "\n\n".join([text.strip(), *title, *(f"  {line}" for line in lines)])
+    # Terminals are narrower than files.
+    text = re.sub(r"(?<=\S)\n(?=[^\s-])", " ", text.strip())
+    return "\n\n".join([text, *title, *(f"  {line}" for line in lines)])
 
 
 def summary(module: str, name: str = "") -> str:
     """Return the first sentence of a command's help, or of a group's."""
-    return help_text(module, name).partition("\n\n")[0].replace("\n", " ")
+    return help_text(module, name).partition("\n\n")[0]
 
 
 def options_of(place: str, *names: str) -> dict[str, inspect.Parameter]:
