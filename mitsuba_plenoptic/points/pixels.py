@@ -199,31 +199,12 @@ def _sum_of_products(terms: list[Pair], values: Any) -> Any:
     """
     libraries = backend_of(values)
     total = None
-    for along_y, along_x in terms:
-        down = libraries.sparse.csr_matrix(along_y) if libraries.is_cuda else along_y
-        if along_y.shape[0] > along_y.shape[1]:
-            product = down @ _across(along_x, values)
-        else:
-            product = _across(along_x, down @ values)
+    for pair in terms:
+        down, across = map(libraries.sparse.csr_matrix, pair) if libraries.is_cuda else pair
+        many = pair[0].shape[0] > pair[0].shape[1]
+        product = down @ (across @ values.T).T if many else (across @ (down @ values).T).T
         total = product if total is None else total + product
-    return total
-
-
-_TOGETHER = 64
-"""Rows of weights in a dense block."""
-
-
-def _across(weights: scipy.sparse.csr_array, values: Any) -> Any:
-    """Return values (rows, columns) times the transpose of weights, in dense blocks around their diagonal."""
-    arrays = backend_of(values).arrays
-    result = arrays.zeros((len(values), weights.shape[0]), np.float32)
-    for start in range(0, weights.shape[0], _TOGETHER):
-        some = weights[start : start + _TOGETHER]
-        if some.nnz:
-            columns = slice(int(some.indices.min()), int(some.indices.max()) + 1)
-            block = arrays.asarray(some[:, columns].toarray().T)
-            result[:, start : start + _TOGETHER] = values[:, columns] @ block
-    return result
+    return libraries.arrays.ascontiguousarray(total)
 
 
 _PARTS = 4096
