@@ -397,10 +397,10 @@ class Response(StoredResponse):
                     arrived = self.adjoint(np.ones_like(own))
                     lit = arrived > 1e-3 * arrived.max()
                     self._bright = self._bright * np.divide(sent, arrived, out=np.ones_like(sent), where=lit)
-                sums = np.bincount(number, self._direct(ones).ravel())
+                arrived_at = np.bincount(number, self._direct(ones).ravel())
                 # Of lenses at the rim some have hardly any pixels, and others no light of their zone.
-                lit = (at_zone > 1e-3 * at_zone.max()) & (sums > 1e-3 * sums.max())
-                share = np.divide(light * right, at_zone * sums, out=np.ones_like(light), where=lit)
+                lenses = (at_zone > 1e-3 * at_zone.max()) & (arrived_at > 1e-3 * arrived_at.max())
+                share = np.divide(light * right, at_zone * arrived_at, out=np.ones_like(light), where=lenses)
                 dim = dim * share[number].reshape(ratio.shape).astype(np.float32)
             self._gain = gain * dim
             # Far light has the lens's pupil, not the zone's.
