@@ -253,8 +253,8 @@ class CameraGeometry(CameraParameters):
 
     @property
     def lenses_are_bins(self) -> bool:
-        """Whether each bin coincides with a lens."""
-        return self.lenses_like_bins and self.mla_offset == (0, 0)
+        """Whether each bin coincides with a lens: an offset by whole lenses leaves the same array."""
+        return self.lenses_like_bins and all(offset % self.row_pitch == 0 for offset in self.mla_offset)
 
     @property
     def mla_pitch(self) -> float | tuple[float, ...]:

@@ -204,9 +204,13 @@ def is_reached(rays: Array) -> Array:
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:
-    """Fraction of a lens over which its light is spread: 1 for unfocused cameras, 0 where a focused camera is sharp."""
+    """Fraction of a lens over which its light is spread: 0 where it is blurred over one or a focused camera is sharp.
+
+    Blurred light reaches all bins by itself. Bins behind a distorting lens are resampled, and light is spread there.
+    """
     if focus_type(camera) == "unfocused":
-        return 1.0
+        resampled = camera.lens_data.traced_surfaces
+        return 1.0 if resampled else max(0.0, 1.0 - camera.blur_diameter(distance) / max(camera.mla_pitches))
     return min(lens_footprint(camera, distance, f2) for f2 in camera.mla_focal_lengths)
 
 

@@ -84,6 +84,8 @@ def transfer(space, step):
     exact = np.exp(2j * np.pi * space.distance / LAM * (np.sqrt(1 - square) - 1))
     paraxial = np.exp(-1j * np.pi * space.distance / LAM * square)
     factor = exact / paraxial if space.beyond_paraxial else paraxial if space.paraxial else exact
+    # Half a period a sample stands for both of its signs, and is left out.
+    factor *= np.outer(*(2 * axis.padded * axis.pitch * frequencies(axis) > -axis.held for axis in (step.y, step.x)))
     return factor * (1 - 4 * (2 * sx**2 + sy**2) if space.response else 1)
 
 
