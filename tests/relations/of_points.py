@@ -83,7 +83,7 @@ def mirror(draw):
     """Mirrored camera and point: the mirrored picture."""
     x, y, g = draw.point()
     other = picture(mp.PlenopticCamera(**mirrored_options(draw)), [(-x, y, g)], draw.wavelength)
-    return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 2e-3)
+    return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 4e-3)
 
 
 def turn_of(camera):
@@ -103,7 +103,7 @@ def turned_lattice(draw):
         return None
     camera, points = draw.camera, [draw.point()]
     other = camera.replace(mla_rotation=camera.mla_rotation + turn_of(camera))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 2e-3)
+    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 4e-3)
 
 
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
@@ -115,7 +115,7 @@ def moved_lattice(draw):
     kinds = len(camera.mla_focal_lengths)
     vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
     other = camera.replace(mla_offset=tuple((np.array(camera.mla_offset) + vector).tolist()))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 2e-3)
+    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 4e-3)
 
 
 BY_PIXELS = {
