@@ -83,7 +83,7 @@ def mirror(draw):
     """Mirrored camera and point: the mirrored picture."""
     x, y, g = draw.point()
     other = picture(mp.PlenopticCamera(**mirrored_options(draw)), [(-x, y, g)], draw.wavelength)
-    return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 4e-3)
+    return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 2e-3)
 
 
 def turn_of(camera):
