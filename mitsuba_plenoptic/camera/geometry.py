@@ -254,7 +254,9 @@ class CameraGeometry(CameraParameters):
     @property
     def lenses_are_bins(self) -> bool:
         """Whether each bin coincides with a lens: an offset by whole lenses leaves the same array."""
-        return self.lenses_like_bins and all(offset % self.row_pitch == 0 for offset in self.mla_offset)
+        # Multiples of a pitch are rounded: 3 x 0.1 is not 0.3.
+        lenses = (offset / self.row_pitch for offset in self.mla_offset)
+        return self.lenses_like_bins and all(abs(count - round(count)) < 1e-9 for count in lenses)
 
     @property
     def mla_pitch(self) -> float | tuple[float, ...]:

@@ -4,14 +4,12 @@ Corners are a table k, l, u, v, cluster, frame: lens along its row, row, pixel, 
 
 Parameters
 ----------
-linear
-    Pictures hold values proportional to light, as raw data does, instead of sRGB.
 board : COLUMNSxROWS
     Inner corners along the board and across it.
 square
     Distance in millimetres of neighbouring corners, the scale of all lengths.
 report : FILE.html
-    Also write a page with what was result and how well it agrees.
+    Also write a page with what was found and how well it agrees.
 """
 
 from __future__ import annotations
