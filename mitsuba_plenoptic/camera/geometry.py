@@ -253,10 +253,8 @@ class CameraGeometry(CameraParameters):
 
     @property
     def lenses_are_bins(self) -> bool:
-        """Whether each bin coincides with a lens: an offset by whole lenses leaves the same array."""
-        # Multiples of a pitch are rounded: 3 x 0.1 is not 0.3.
-        lenses = (offset / self.row_pitch for offset in self.mla_offset)
-        return self.lenses_like_bins and all(abs(count - round(count)) < 1e-9 for count in lenses)
+        """Whether each bin coincides with the lens of the same number."""
+        return self.lenses_like_bins and not any(self.mla_offset)
 
     @property
     def mla_pitch(self) -> float | tuple[float, ...]:

@@ -167,7 +167,8 @@ def lens(
     f_number
         Its f-number, instead. Default: the file's.
     field
-        Angle in degrees from the axis; repeat for several. Default: the file's.
+        Angle in degrees from the axis; repeat for several. One or two stand for 0, 0.7 and 1 times the largest.
+        Default: the file's.
     drawing : FILE
         Draw the lens with rays, spots, light and distortion over the field, as .png or .pdf. Default: none.
 

@@ -48,6 +48,9 @@ _DARKEST = 0.25
 _EVEN: dict[str, Any] = {"vignetting": None, "mla_transmissions": None}
 """Parameters of a camera whose lenses see the same pupil equally bright."""
 
+_SAME = 1e-9
+"""Offset in lattice vectors that is none."""
+
 _ASIDE = 0.1
 """Displacement of lenses over the pitch up to which images stay as they are."""
 
@@ -61,9 +64,30 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     """Return the camera with an upright array of regular, equal lenses; the same camera if it has these.
 
     In the image of the stop displaced lenses see the object from other directions, which the response to points knows.
+    An array that is turned or moved onto itself is the same: its lenses are numbered anew, so that images are, too.
     """
     if camera.lens_data.images_stop:
         return camera
+    regular = _regular(camera)
+    kinds = len(regular.mla_focal_lengths)
+    if any((*regular.mla_jitter, *regular.mla_figure_error)):
+        return regular
+    if regular.mla_pitches[0] != regular.mla_pitches[1]:
+        turn = 180.0 if kinds == 1 else 360.0
+    else:
+        turn = 90.0 if regular.mla_lattice == "square" else 60.0 if kinds == 1 else 120.0
+    angle = regular.mla_rotation - turn * round(regular.mla_rotation / turn)
+    basis = kinds * np.array(regular.lattice.basis)
+    steps = np.linalg.solve(basis.T, regular.mla_offset)
+    # Multiples of a pitch are rounded: 3 x 0.1 is not 0.3.
+    rest = (np.where(abs(steps - np.rint(steps)) < _SAME, 0.0, steps - np.rint(steps)) @ basis).tolist()
+    if angle == regular.mla_rotation and not np.rint(steps).any():
+        return regular
+    return regular.replace(mla_rotation=angle, mla_offset=tuple(rest))
+
+
+def _regular(camera: PlenopticCamera) -> PlenopticCamera:
+    """Return the `straightened` camera, its lenses numbered as those of the camera are."""
     even = camera.replace(**_EVEN) if is_uneven(camera) else camera
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return even
@@ -85,7 +109,7 @@ def _moved(image: Floats, camera: PlenopticCamera) -> Floats:
     """Return an image (rows, columns, channels) with each micro-image where the `straightened` camera has it."""
     if camera.lattice.displacement is None and not any(camera.mla_tilt):
         return image
-    regular = straightened(camera)
+    regular = _regular(camera)
     moved = np.empty_like(image)
     channels = np.moveaxis(image.astype(np.float64), -1, 0)
     splines = [spline_filter(channel, _ORDER) for channel in channels]
@@ -156,7 +180,7 @@ def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
     cells = camera.lattice.cell(x / growth, y / growth)
     lens = camera.lenslet(*cells)
     nearer, larger = camera.tilted_growth(lens.height)
-    regular = straightened(camera).lattice.centre(*cells)
+    regular = _regular(camera).lattice.centre(*cells)
     u, v = (
         (q - (c / nearer - larger * before) * growth) / larger
         for q, c, before in zip((x, y), lens.centre, regular, strict=True)

@@ -86,36 +86,41 @@ def mirror(draw):
     return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 2e-3)
 
 
-def turn_of(camera):
-    """Return the angle in degrees by which a lattice is the same, its kinds of lenses too."""
-    kinds = len(camera.mla_focal_lengths)
+def turned_array(draw):
+    """Return the camera with its lattice turned by an angle by which this and its kinds of lenses are the same."""
+    camera, kinds = draw.camera, len(draw.camera.mla_focal_lengths)
     if camera.mla_pitches[0] != camera.mla_pitches[1]:
-        return 180.0 if kinds == 1 else 360.0
-    if camera.mla_lattice == "square":
-        return 90.0
-    return 120.0 if kinds == 3 else 60.0
+        turn = 180.0 if kinds == 1 else 360.0
+    else:
+        turn = 90.0 if camera.mla_lattice == "square" else 120.0 if kinds == 3 else 60.0
+    return camera.replace(mla_rotation=camera.mla_rotation + turn)
+
+
+def moved_array(draw):
+    """Return the camera with its lattice moved by a vector that maps kinds of lenses to themselves."""
+    vector = len(draw.camera.mla_focal_lengths) * draw.rng.integers(-2, 3, 2) @ np.array(draw.camera.lattice.basis)
+    return draw.camera.replace(mla_offset=tuple((np.array(draw.camera.mla_offset) + vector).tolist()))
+
+
+def of_same_array(draw, other):
+    """Judge that a point has the same picture behind the other array, which is the same."""
+    if not draw.camera.has_array:
+        return None
+    points = [draw.point()]
+    pictures = [picture(camera, points, draw.wavelength) for camera in (other(draw), draw.camera)]
+    return off(*pictures), bound(draw, 4e-3)
 
 
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def turned_lattice(draw):
     """A lattice turned by an angle of its symmetry: the same picture."""
-    if not draw.camera.has_array:
-        return None
-    camera, points = draw.camera, [draw.point()]
-    other = camera.replace(mla_rotation=camera.mla_rotation + turn_of(camera))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 4e-3)
+    return of_same_array(draw, turned_array)
 
 
 @relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
 def moved_lattice(draw):
     """A lattice moved by one of its vectors that maps kinds of lenses to themselves: the same picture."""
-    if not draw.camera.has_array:
-        return None
-    camera, points = draw.camera, [draw.point()]
-    kinds = len(camera.mla_focal_lengths)
-    vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
-    other = camera.replace(mla_offset=tuple((np.array(camera.mla_offset) + vector).tolist()))
-    return off(picture(other, points, draw.wavelength), picture(camera, points, draw.wavelength)), bound(draw, 4e-3)
+    return of_same_array(draw, moved_array)
 
 
 BY_PIXELS = {
