@@ -24,6 +24,16 @@ def white_capture(camera):
     return np.clip((camera.micro_image_diameter / 2 - distance) / camera.pixel_size + 0.5, 0, 1).astype(np.float32)
 
 
+@pytest.mark.parametrize("change", [{"mla_rotation": 1e-6}, {"mla_offset": (1e-9, 0.0)}])
+def test_an_array_next_to_the_upright_one_gives_next_to_the_same_image(change):
+    """Out of focus, where light reaches all bins without being spread over lenses; by ways of one axis and of two."""
+    image = np.maximum(capture(SMALL, SCATTERED, np.ones(5)), 0)
+    for interleave in (1, 2, "auto"):
+        options = {"method": "partial", "wavelength": WAVELENGTH, "interleave": interleave}
+        one, two = (reconstruct(image, 112.5, camera=c, **options).image for c in (SMALL, SMALL.replace(**change)))
+        assert error(np.nan_to_num(two), np.nan_to_num(one)) < 0.01
+
+
 @pytest.mark.parametrize("blur", [8.1, 16.0])
 def test_lenses_out_of_focus_take_fewer_samples(blur, monkeypatch):
     """Sums over lenses are those of fine samples, which are taken in focus, and where bins are shown as they are."""

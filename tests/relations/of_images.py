@@ -2,7 +2,7 @@
 
 import numpy as np
 from of_captures import METHODS, off_bins
-from of_points import IRREGULAR, moved_array, turned_array
+from of_points import IRREGULAR, same_array
 from relation import image_of, relation
 
 import mitsuba_plenoptic as mp
@@ -82,23 +82,23 @@ def of_method(method):
             for i in (1, 2)
         ), 2e-3
 
-    def same_array(draw):
-        """An array moved or turned onto itself has the same image; behind oblique chief rays next to the same."""
+    def array(draw):
+        """An array turned or moved onto itself has the same image; behind oblique chief rays next to the same."""
         if not draw.camera.has_array:
             return None
-        turned = bool(draw.rng.random() < 0.5)
-        camera, other = draw.camera, (turned_array if turned else moved_array)(draw)
-        image = image_of(camera, [draw.point(2.0) for _ in range(5)], draw.wavelength).astype(np.float32)
-        g = camera.focus_distance * float(draw.rng.choice([0.93, 1.1]))
-        images = [refocused(each, image, g, method, draw.wavelength)[0] for each in (other, camera)]
+        recorded = image_of(draw.camera, [draw.point(2.0) for _ in range(5)], draw.wavelength).astype(np.float32)
+        g = draw.camera.focus_distance * float(draw.rng.choice([0.93, 1.1]))
+        images = [
+            refocused(camera, recorded, g, method, draw.wavelength)[0] for camera in (same_array(draw), draw.camera)
+        ]
         return off_bins(*images), 2e-3 if "mla_cra" in draw.options else 2e-5
 
     costly = "mla_focal_length vignetting" if METHODS[method] is Use.RESPONSES else ""
-    for judge, use in ((lamp, Use.POINTS), (part, Use(0)), (wavelengths, Use(0)), (same_array, Use.POINTS)):
+    for judge, use in ((lamp, Use.POINTS), (part, Use(0)), (wavelengths, Use(0)), (array, Use.POINTS)):
         if method not in OTHERWISE[judge.__name__]:
             # Aberrations spread the light of a bin over several lenses, so that crops have light from beyond.
             aberrated = "glass lens_model wavefront" if judge is part else ""
-            uneven = IRREGULAR if judge is same_array else ""
+            uneven = IRREGULAR if judge is array else ""
             without = f"crop_offset crop_size stray_light stray_width main_lens {costly} {aberrated} {uneven}"
             judge.__name__ = f"{judge.__name__}_{method}"
             relation(METHODS[method] | use, without, method)(judge)
@@ -108,7 +108,7 @@ OTHERWISE = {
     "lamp": ("incoherent",),
     "part": ("partial", "incoherent"),
     "wavelengths": ("ray", "partial", "incoherent", "deconvolved"),
-    "same_array": ("incoherent", "deconvolved"),
+    "array": ("incoherent", "deconvolved"),
 }
 """Methods whose relation would say nothing, or is that of another one."""
 

@@ -86,9 +86,12 @@ def mirror(draw):
     return off(other[:, ::-1], picture(draw.camera, [(x, y, g)], draw.wavelength)), bound(draw, 2e-3)
 
 
-def turned_array(draw):
-    """Return the camera with its lattice turned by an angle by which this and its kinds of lenses are the same."""
+def same_array(draw):
+    """Return the camera with its lattice turned or moved onto itself, its kinds of lenses too."""
     camera, kinds = draw.camera, len(draw.camera.mla_focal_lengths)
+    if draw.rng.random() < 0.5:
+        vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
+        return camera.replace(mla_offset=tuple((np.array(camera.mla_offset) + vector).tolist()))
     if camera.mla_pitches[0] != camera.mla_pitches[1]:
         turn = 180.0 if kinds == 1 else 360.0
     else:
@@ -96,31 +99,14 @@ def turned_array(draw):
     return camera.replace(mla_rotation=camera.mla_rotation + turn)
 
 
-def moved_array(draw):
-    """Return the camera with its lattice moved by a vector that maps kinds of lenses to themselves."""
-    vector = len(draw.camera.mla_focal_lengths) * draw.rng.integers(-2, 3, 2) @ np.array(draw.camera.lattice.basis)
-    return draw.camera.replace(mla_offset=tuple((np.array(draw.camera.mla_offset) + vector).tolist()))
-
-
-def of_same_array(draw, other):
-    """Judge that a point has the same picture behind the other array, which is the same."""
+@relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
+def same_lattice(draw):
+    """A lattice turned or moved onto itself: the same picture."""
     if not draw.camera.has_array:
         return None
     points = [draw.point()]
-    pictures = [picture(camera, points, draw.wavelength) for camera in (other(draw), draw.camera)]
+    pictures = [picture(camera, points, draw.wavelength) for camera in (same_array(draw), draw.camera)]
     return off(*pictures), bound(draw, 4e-3)
-
-
-@relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
-def turned_lattice(draw):
-    """A lattice turned by an angle of its symmetry: the same picture."""
-    return of_same_array(draw, turned_array)
-
-
-@relation(Use.POINTS, f"{IRREGULAR} crop_offset crop_size")
-def moved_lattice(draw):
-    """A lattice moved by one of its vectors that maps kinds of lenses to themselves: the same picture."""
-    return of_same_array(draw, moved_array)
 
 
 BY_PIXELS = {

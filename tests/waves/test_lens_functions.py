@@ -46,14 +46,6 @@ def test_symmetric_lenses_have_the_kernels_that_all_lags_give(monkeypatch):
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
 
 
-def test_kernels_turn_with_the_lattice():
-    """A hexagon whose corners are on x, where the samples of its lags end, has the kernels of one with them on y."""
-    cameras = (CAMERAS["hexagonal"].replace(mla_rotation=angle) for angle in (0.0, 90.0))
-    upright, turned = (PhaseSpace(camera, 633.0, degree=0) for camera in cameras)
-    found = turned.kernels(0.004, 0.12)[0]
-    assert found == pytest.approx(np.rot90(upright.kernels(0.004, 0.12)[0]), abs=1e-6 * found.max())
-
-
 COUNT = 1 << 19
 
 
