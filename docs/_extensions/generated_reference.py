@@ -197,7 +197,7 @@ def guards(text: str) -> str:
 
 def support(text: str) -> str:
     """Fill in the table of support."""
-    from mitsuba_plenoptic.camera import support_table
+    from mitsuba_plenoptic.camera.support import support_table
 
     return text.replace("SUPPORT", support_table())
 

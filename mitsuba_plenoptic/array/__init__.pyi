@@ -14,7 +14,6 @@ from .lens_shifts import WARP_POWERS as WARP_POWERS
 from .lens_shifts import Displacement as Displacement
 from .lens_shifts import Lenslet as Lenslet
 from .lens_shifts import deviates as deviates
-from .lens_shifts import hashed as hashed
 from .phase_map import PhaseMap as PhaseMap
 from .sampled import Sampled as Sampled
 from .sampled_grid import COUNTS as COUNTS

@@ -135,13 +135,13 @@ class Displacement:
 
 def deviates(seed: int, i: Any, j: Any) -> Triple:
     """Return three normal deviates, clipped at `MOST_DEVIATIONS`, for each lens of an array with a given seed."""
-    start = int(hashed(np.array([seed], np.uint32))[0])
+    start = int(_hashed(np.array([seed], np.uint32))[0])
     module = module_of(i)
     deviates = []
     # Single numbers of NumPy warn where arrays of them wrap round.
     with np.errstate(over="ignore"):
-        lens = hashed(hashed(_words(i) ^ start) ^ _words(j))
-        integers = [hashed(lens ^ (0x9E3779B9 * (stream + 1) & 0xFFFFFFFF)) >> 9 for stream in range(6)]
+        lens = _hashed(_hashed(_words(i) ^ start) ^ _words(j))
+        integers = [_hashed(lens ^ (0x9E3779B9 * (stream + 1) & 0xFFFFFFFF)) >> 9 for stream in range(6)]
     for words in zip(integers[::2], integers[1::2], strict=True):
         # Two uniform numbers make a normal one (Box and Muller 1958).
         if module is dr:
@@ -153,7 +153,7 @@ def deviates(seed: int, i: Any, j: Any) -> Triple:
     return x, y, f
 
 
-def hashed(word: Any) -> Any:
+def _hashed(word: Any) -> Any:
     """Return 32-bit hashes of words (Wellons 2018, "Prospecting for hash functions").
 
     Words are NumPy or Dr.Jit arrays of unsigned integers.

@@ -13,7 +13,6 @@ from .entry import Form as Form
 from .entry import Parameter as Parameter
 from .entry import Use as Use
 from .entry import approximate as approximate
-from .entry import no_effect as no_effect
 from .entry import one_if_equal as one_if_equal
 from .entry import one_if_single as one_if_single
 from .entry import refused as refused
@@ -34,7 +33,6 @@ from .plenoptic_camera import require_camera as require_camera
 from .stray_light import StrayLight as StrayLight
 from .support import is_supported as is_supported
 from .support import require_support as require_support
-from .support import support_table as support_table
 from .varied import varied_camera as varied_camera
 from .vector import CameraVector as CameraVector
 from .vector import Values as Values

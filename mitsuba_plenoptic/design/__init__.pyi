@@ -9,7 +9,6 @@ from .microscope import objective_of as objective_of
 from .microscope import parallax as parallax
 from .quantities import EffectiveResolution as EffectiveResolution
 from .quantities import best_distances as best_distances
-from .quantities import crosstalk_lenses as crosstalk_lenses
 from .quantities import crosstalk_neighbours as crosstalk_neighbours
 from .quantities import crosstalk_reach as crosstalk_reach
 from .quantities import depth_ranges as depth_ranges
@@ -23,7 +22,6 @@ from .quantities import image_f_number as image_f_number
 from .quantities import lens_footprint as lens_footprint
 from .quantities import lenses_across as lenses_across
 from .quantities import main_fresnel_number as main_fresnel_number
-from .quantities import micro_image_distance as micro_image_distance
 from .quantities import mla_f_number as mla_f_number
 from .quantities import mla_fresnel_number as mla_fresnel_number
 from .quantities import mla_object_distances as mla_object_distances

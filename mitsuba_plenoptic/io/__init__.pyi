@@ -35,7 +35,6 @@ from .exr import write_exr as write_exr
 from .exr import write_exr_parts as write_exr_parts
 from .labelled import read_labelled_data as read_labelled_data
 from .labelled import write_labelled_data as write_labelled_data
-from .pictures import TIFF as TIFF
 from .pictures import StoredPicture as StoredPicture
 from .pictures import linear_of as linear_of
 from .pictures import read_numbers as read_numbers

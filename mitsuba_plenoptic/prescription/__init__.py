@@ -9,4 +9,4 @@ import lazy_loader
 
 __getattr__, __dir__, _ = lazy_loader.attach_stub(__name__, __file__)
 
-__all__ = ["BUNDLED", "Glass", "Paraxial", "Prescription", "Surface", "bundled_prescription", "paraxial"]
+__all__ = ["Glass", "Paraxial", "Prescription", "Surface", "paraxial"]

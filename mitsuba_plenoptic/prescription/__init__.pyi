@@ -20,11 +20,9 @@ from .lens_file import known_lens as known_lens
 from .lens_file import read_lens as read_lens
 from .lens_file import read_prescription as read_prescription
 from .objective import Objective as Objective
-from .surfaces import BUNDLED as BUNDLED
 from .surfaces import LEAST as LEAST
 from .surfaces import Paraxial as Paraxial
 from .surfaces import Prescription as Prescription
 from .surfaces import Surface as Surface
-from .surfaces import bundled_prescription as bundled_prescription
 from .surfaces import height as height
 from .surfaces import paraxial as paraxial

@@ -11,10 +11,10 @@ from typing import Any, cast
 from ..errors import NO_RECORD, InputError, naming, refusing
 from ..extension import format_of, place
 from ..runtime import read_yaml, require_file
-from . import BUNDLED, Prescription, bundled_prescription
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from .lens_data import LensData, known_kind
 from .objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
+from .surfaces import BUNDLED, Prescription, bundled_prescription
 
 
 def read_lens(source: str | Path, resolve: Callable[[str], str] = str) -> LensData:

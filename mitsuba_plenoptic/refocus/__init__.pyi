@@ -8,7 +8,6 @@ from .estimates import estimate_reconstruction as estimate_reconstruction
 from .lens_by_lens import fine_bins as fine_bins
 from .methods import METHODS as METHODS
 from .methods import Found as Found
-from .methods import Progress as Progress
 from .methods import Task as Task
 from .methods import method as method
 from .methods import portion as portion
@@ -23,7 +22,6 @@ from .radiance import LensSpread as LensSpread
 from .radiance import WeakBins as WeakBins
 from .radiance import captures as captures
 from .radiance import divided_bins as divided_bins
-from .radiance import is_reached as is_reached
 from .radiance import lens_scale as lens_scale
 from .radiance import to_radiance as to_radiance
 from .radiance import white_pixels as white_pixels

@@ -193,14 +193,10 @@ class WeakBins:
 
 def divided_bins(white: Array, rays: Array, distance: float) -> Array:
     """Return a mask of the bins whose sums are divided by the sums of white."""
-    reached = is_reached(rays) & (white > 0)
+    # Bins that few rays of white reach are too noisy for a division.
+    reached = np.asarray((rays >= 0.01 * rays.max()) & (rays > 0) & (white > 0))
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
     return reached
-
-
-def is_reached(rays: Array) -> Array:
-    """Return a mask (rows, columns) of bins that enough rays of white reach for a division."""
-    return np.asarray((rays >= 0.01 * rays.max()) & (rays > 0))
 
 
 def lens_scale(camera: PlenopticCamera, distance: float) -> float:

@@ -2,7 +2,6 @@
 
 from .coordinates import DIMS as DIMS
 from .coordinates import camera_of as camera_of
-from .coordinates import depth_range as depth_range
 from .coordinates import disparity as disparity
 from .coordinates import distance_of as distance_of
 from .coordinates import grid_of as grid_of
@@ -46,11 +45,9 @@ from .refocusing import shift_and_add as shift_and_add
 from .truth import FirstHits as FirstHits
 from .truth import ground_truth as ground_truth
 from .viewpoints import epipolar_image as epipolar_image
-from .viewpoints import lens_mosaic as lens_mosaic
 from .viewpoints import pick_views as pick_views
 from .viewpoints import view as view
 from .viewpoints import view_mosaic as view_mosaic
-from .white import PupilFraction as PupilFraction
 from .white import open_fraction as open_fraction
 from .white import recorded_white as recorded_white
 from .white import white_image as white_image

@@ -213,21 +213,6 @@ def channel_planes(lf: xr.DataArray) -> list[Array]:
     return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
 
 
-def depth_range(lf: xr.DataArray) -> tuple[float, float]:
-    """Nearest and farthest distance in mm at which a point moves by at most one lens from view to view.
-
-    Outside this range the parallax is ambiguous for fine detail. The far end is infinite if points at infinity move
-    less.
-
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field, (v, u, t, s[, c]).
-    """
-    near, far = distance_of(lf, np.array([-1.0, 1.0]))
-    return float(near), float(far)
-
-
 def disparity(lf: xr.DataArray, distance: float) -> float:
     r"""Return the shift of a point from one view to the next, in pixels of views (lenses) along the index.
 

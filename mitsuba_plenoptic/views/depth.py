@@ -21,7 +21,6 @@ from .agreement import finer_stripes, spread_of_samples, view_disagreement
 from .coordinates import (
     array_scale,
     camera_of,
-    depth_range,
     disparity,
     distance_of,
     require_light_field,
@@ -86,7 +85,7 @@ def depth_map(
     near, far : float
         Range of distances in millimetres to search; without a camera of disparities, the nearest the least. Default:
         the range that a light field's file states, as folders of HCI do, and half a pixel more; else where a point
-        moves by at most two pixels from view to view, twice as far as `depth_range`; of a focused camera `depth_range`.
+        moves by at most two pixels from view to view, of a focused camera by one.
     micro_images : MicroImages, optional
         The micro-images of the same capture, from `micro_images`. A focused camera whose lenses are not upright and
         square needs them, as its light field is interpolated between lenses; others do without.
@@ -280,12 +279,13 @@ def _aberrated(lf: xr.DataArray, radii: Array) -> Array:
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
     """Return the nearest and farthest distance in mm, or disparity, at which views or micro-images can show depth.
 
-    Views can while they move by up to `_WIDEST` pixels, twice as far as in `depth_range`, or where the light field
+    Views can while they move by up to `_WIDEST` pixels, or where the light field
     states the disparities of its scene; micro-images of focused cameras can while their lenses are no farther apart
     than the field that each shows.
     """
     if is_focused(lf):
-        return depth_range(lf)
+        near, far = distance_of(lf, np.array([-1.0, 1.0]))
+        return float(near), float(far)
     stated = stated_disparities(lf)
     least, greatest = (stated[0] - _BESIDE, stated[1] + _BESIDE) if stated else (-_WIDEST, _WIDEST)
     if not lf.attrs.get("camera"):

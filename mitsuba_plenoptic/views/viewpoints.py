@@ -87,18 +87,8 @@ def view_mosaic(lf: xr.DataArray) -> Array:
 
 
 def lens_mosaic(lf: xr.DataArray) -> Array:
-    """Return the samples of each lens together, as on a detector with an integer number of pixels per lens.
-
-    Parameters
-    ----------
-    lf : xarray.DataArray
-        A light field, (v, u, t, s[, c]).
-
-    Returns
-    -------
-    (t v, s u[, 3]) array
-    """
-    values = require_light_field(lf).values
+    """Return the samples (t v, s u[, 3]) of each lens together, as with an integer number of pixels per lens."""
+    values = lf.values
     v, u, t, s = values.shape[:4]
     return values.transpose(2, 0, 3, 1, *range(4, values.ndim)).reshape(t * v, s * u, *values.shape[4:])
 

@@ -9,7 +9,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_plenoptic import InputError, PlenopticCamera, design
+from mitsuba_plenoptic import InputError, PlenopticCamera
+from mitsuba_plenoptic.design.quantities import crosstalk_lenses, micro_image_distance
 
 
 def test_the_default_is_the_papers_camera():
@@ -21,8 +22,8 @@ def test_the_default_is_the_papers_camera():
     assert camera.bin_size(240) == pytest.approx(0.128)
     assert camera.blur_diameter(240) == pytest.approx(0, abs=1e-12)
     assert camera.blur_diameter(210) == pytest.approx(0.714, abs=5e-4)
-    assert design.crosstalk_lenses(camera) == 1
-    assert design.crosstalk_lenses(camera.replace(aperture_radius=10)) == 5
+    assert crosstalk_lenses(camera) == 1
+    assert crosstalk_lenses(camera.replace(aperture_radius=10)) == 5
 
 
 def test_scene_files_and_sensors_have_its_place_and_its_colours():
@@ -72,4 +73,4 @@ def test_one_pitch_is_two_that_are_equal():
     for each in (camera, stretched, PlenopticCamera(mla_lattice="hexagonal", mla_focal_length=(0.5, 0.6, 0.7))):
         assert each.replace(mla_pitch=each.mla_pitch, mla_focal_length=each.mla_focal_length) == each
     assert stretched.pixels_per_lens == pytest.approx(30)
-    assert design.micro_image_distance(stretched) == pytest.approx(0.06 * 120.512 / 120)
+    assert micro_image_distance(stretched) == pytest.approx(0.06 * 120.512 / 120)

@@ -11,6 +11,7 @@ from cases import agreement
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import micrometres
+from mitsuba_plenoptic.design.quantities import crosstalk_lenses
 from mitsuba_plenoptic.presets import PRESETS
 from mitsuba_plenoptic.report.experiment import thin_lens_image
 
@@ -32,7 +33,7 @@ def test_the_focus_type_follows_from_the_spot_of_parallel_light(z, focus):
 def test_numbers_of_the_focused_cameras():
     for numbers, name, side in ((KEPLERIAN, "keplerian", 1), (GALILEAN, "galilean", -1)):
         camera = mp.PlenopticCamera(**numbers)
-        assert mp.design.focus_type(camera) == name and mp.design.crosstalk_lenses(camera) == 1
+        assert mp.design.focus_type(camera) == name and crosstalk_lenses(camera) == 1
         assert mp.design.mla_object_distances(camera) == pytest.approx((side * 1.536,))
         assert mp.design.best_distances(camera) == pytest.approx((240,))
         assert mp.design.virtual_depth(camera, 240) == pytest.approx(side * 3)

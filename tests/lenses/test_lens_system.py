@@ -10,7 +10,8 @@ from drjit.llvm.ad import Float64
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import LensSystem, PlenopticCamera, Prescription
 from mitsuba_plenoptic.lenses import main_lens, sequential
-from mitsuba_plenoptic.prescription import BUNDLED, bundled_prescription, paraxial
+from mitsuba_plenoptic.prescription import paraxial
+from mitsuba_plenoptic.prescription.surfaces import BUNDLED, bundled_prescription
 from mitsuba_plenoptic.report.lens_quality import field_figures
 
 RECORDS = Path(__file__).parents[1] / "optiland_records"

@@ -12,7 +12,7 @@ from cases import relative
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import InputError, LensSystem, PlenopticCamera
-from mitsuba_plenoptic.prescription import bundled_prescription, paraxial
+from mitsuba_plenoptic.prescription import paraxial
 
 WAVELENGTH, FOCUS, F, A = 550.0, 300.0, 50.0, 3.0
 LAMBDA, B = WAVELENGTH * 1e-6, F * FOCUS / (FOCUS - F)
@@ -175,6 +175,6 @@ def test_the_sensors_rays_are_of_single_precision(name):
 
 def test_the_table_of_the_double_gauss_has_the_printed_focal_length_and_back_focus():
     """U.S. patent 2,673,491: f = 1, back focus 0.71436, 1:2."""
-    numbers = paraxial(bundled_prescription("double_gauss_f2"))
+    numbers = paraxial(mp.read_prescription("double_gauss_f2"))
     assert numbers.focal_length == pytest.approx(50, rel=2e-3)
     assert numbers.back_focal / numbers.focal_length == pytest.approx(0.71436, abs=1e-4)

@@ -9,7 +9,6 @@ from cameras import white
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import PlenopticCamera, render_capture
-from mitsuba_plenoptic.prescription import bundled_prescription
 
 WIDE = {"main_lens": "cooke_triplet", "focal_length": 16, "focus_distance": np.inf, "mla_focal_length": 0.3}
 """Light falls by a third to the corner, as the beam is cut by the outer surfaces."""
@@ -48,7 +47,7 @@ def test_a_micro_image_is_the_traced_pupil(lens_index):
 
 
 def test_xml_takes_a_file_a_name_or_text(tmp_path):
-    lens = bundled_prescription("tessar")
+    lens = mp.read_prescription("tessar")
     (tmp_path / "mine.yaml").write_text(json.dumps(lens.to_plain()))
     for value in ("mine.yaml", "tessar.yaml", "tessar", json.dumps(lens.to_plain()).replace('"', "&quot;")):
         (tmp_path / "scene.xml").write_text(

@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, read_prescription
-from mitsuba_plenoptic.prescription import BUNDLED, Glass, bundled_prescription
+from mitsuba_plenoptic.prescription import Glass
+from mitsuba_plenoptic.prescription.surfaces import BUNDLED, bundled_prescription
 
 BK7 = {"name": "N-BK7", "sellmeier": [1.03961212, 0.231792344, 1.01046945, 0.00600069867, 0.0200179144, 103.560653]}
 

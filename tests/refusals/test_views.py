@@ -13,8 +13,8 @@ from mitsuba_plenoptic import Objective, PlenopticCamera, decode
 from mitsuba_plenoptic.views import (
     LensGrid,
     depth_map,
-    depth_range,
     disparity,
+    distance_of,
     epipolar_image,
     estimate_lens_grid,
     focal_stack,
@@ -85,7 +85,7 @@ test_refused = refused(
         lambda: even(SMALL.replace(main_lens="singlet", focal_length=80, aperture_radius=5)),
         "main_lens = Plano-convex singlet",
     ),
-    (lambda: depth_range(even(FOURIER)), "parallax.*behind an objective"),
+    (lambda: distance_of(even(FOURIER), 0.0), "parallax.*behind an objective"),
     (lambda: refocus(even(FOURIER), 0.01), "parallax.*behind an objective"),
     (lambda: shift_and_add(even(FOURIER), 0.5), "parallax.*behind an objective"),
     *((lambda c=c: lens_grid(c), "no micro-image") for c in (CORNER, CORNER.replace(mla_lattice="hexagonal"))),

@@ -124,13 +124,14 @@ def corners(
     from ...views import white_image
     from . import calibration
     from .calibrated_cameras import lens_index
+    from .detect import camera_centres
 
     require_apart(require_writable(output), *pictures, centres, white)
     shape = calibration.Board.parse(board, 1.0)
     known_camera, record = inputs.load_camera(camera, {}) if camera else (None, None)
     if known_camera is not None:
         light = white_image(known_camera) if white is None else _values(white, linear)
-        middles = calibration.camera_centres(known_camera, lens_index(record))
+        middles = camera_centres(known_camera, lens_index(record))
     elif white is not None:
         light = _values(white, linear)
         middles = calibration.find_centres(light).table(white.name)

@@ -4,8 +4,8 @@ from .blur import Blur
 from .board_fit import calibrate, evaluate
 from .boards import board_scene
 from .calibrated_cameras import read_camera, write_calibration
-from .calibration_result import Calibration, Evaluation, ResidualMap, residual_map
-from .detect import camera_centres, detect_corners, write_corners
+from .calibration_result import Calibration, Evaluation
+from .detect import detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
 from .white_centres import Centres, find_centres, write_centres
 from .white_fit import WhiteFit, fit_white
@@ -17,12 +17,10 @@ __all__ = [
     "Centres",
     "Evaluation",
     "LensIndex",
-    "ResidualMap",
     "Table",
     "WhiteFit",
     "board_scene",
     "calibrate",
-    "camera_centres",
     "concatenate",
     "detect_corners",
     "evaluate",
@@ -31,7 +29,6 @@ __all__ = [
     "read_camera",
     "read_centres",
     "read_corners",
-    "residual_map",
     "write_calibration",
     "write_centres",
     "write_corners",

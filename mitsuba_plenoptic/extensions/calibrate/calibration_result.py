@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ...camera import PlenopticCamera
-from ...errors import require_choice, require_count
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
@@ -191,23 +190,10 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Return the residuals of a calibration's corners in groups.
+    """Return the residuals of a calibration's corners in groups by lens, field, depth or pose.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        The calibration.
-    board : Board
-        The board that was seen.
-    corners : Table
-        The corners from which the camera was calibrated.
-    by : {"lens", "field", "depth", "pose"}
-        The property that a group's observations have in common.
-    parts : int
-        Squares along the detector's rows, of ``field``; ranges with as many observations each, of ``depth``.
+    `parts` are squares of the field along the detector's rows, or ranges of depth with as many observations each.
     """
-    require_choice("by", by, ("lens", "field", "depth", "pose"))
-    require_count("parts", parts, minimum=1, maximum=1000)
     evaluation = calibration.evaluation
     camera = calibration.camera
     group = evaluation.pose

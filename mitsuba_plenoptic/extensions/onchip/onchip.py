@@ -5,7 +5,7 @@ pixels, or a row or a column of two.
 """
 
 from .disparity import bank_disparity, half_disparity, match_halves
-from .halves import LAYOUTS, dual_pixel
+from .halves import dual_pixel
 from .spread_bank import psf_bank
 
-__all__ = ["LAYOUTS", "bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"]
+__all__ = ["bank_disparity", "dual_pixel", "half_disparity", "match_halves", "psf_bank"]

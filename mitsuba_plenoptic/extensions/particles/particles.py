@@ -7,7 +7,7 @@ dark volumes, and such as are not before the camera, raise an `InputError`.
 """
 
 from .correlation import correlate_volumes
-from .flows import FLOWS, Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
+from .flows import Flow, HillVortex, ImportedFlow, LambOseen, Shear, TaylorGreen, Uniform
 from .particle_images import ParticleImages
 from .projection import RayProjector, VoxelProjector
 from .scattering import cross_sections
@@ -18,7 +18,6 @@ from .tracking import locate_particles, match_particles, refine_particles
 from .voxels import VoxelGrid, drawn_particles, elongation, ghost_fraction, quality
 
 __all__ = [
-    "FLOWS",
     "Flow",
     "HillVortex",
     "ImportedFlow",

@@ -68,7 +68,8 @@ def particles(
     from ...camera import PlenopticCamera
     from ...detector import Detector, expose
     from ...io import write_capture, write_labelled_data
-    from .particles import FLOWS, LightSheet, ParticleImages, ParticleVolume, Seeding, particle_sequence
+    from .flows import FLOWS
+    from .particles import LightSheet, ParticleImages, ParticleVolume, Seeding, particle_sequence
 
     corners = _numbers("volume", volume, 6)
     box = ParticleVolume(corners[:3], corners[3:])

@@ -2,33 +2,27 @@
 
 from ...io import read_labelled_data, read_picture
 from ...views import (
-    LAYOUTS,
     open_light_field,
     open_micro_images,
     read_labelled,
     read_mosaic,
-    require_light_field_path,
     save_light_field,
     write_labelled,
     write_mosaic,
 )
-from .hci import read_hci
 from .lftoolbox import read_lftoolbox, write_lftoolbox
 from .lytro_file import nearest_white, read_lytro
 
 __all__ = [
-    "LAYOUTS",
     "nearest_white",
     "open_light_field",
     "open_micro_images",
-    "read_hci",
     "read_labelled",
     "read_labelled_data",
     "read_lftoolbox",
     "read_lytro",
     "read_mosaic",
     "read_picture",
-    "require_light_field_path",
     "save_light_field",
     "write_labelled",
     "write_lftoolbox",

@@ -3,11 +3,9 @@
 from .by_parameter import (
     DIFFERENTIABLE,
     WAVELENGTH,
-    brightness_slopes,
     check_changes,
     check_names,
     light_slopes,
-    values_of,
 )
 from .plan import DerivativePlan, Differentials
 
@@ -16,9 +14,7 @@ __all__ = [
     "WAVELENGTH",
     "DerivativePlan",
     "Differentials",
-    "brightness_slopes",
     "check_changes",
     "check_names",
     "light_slopes",
-    "values_of",
 ]

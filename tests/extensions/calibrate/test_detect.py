@@ -7,11 +7,11 @@ from refusals import refuses
 from scipy.ndimage import gaussian_filter, uniform_filter
 
 from mitsuba_plenoptic import Capture, render_capture, write_capture
-from mitsuba_plenoptic.calibration import Board, board_scene, camera_centres, detect_corners, read_corners
+from mitsuba_plenoptic.calibration import Board, board_scene, detect_corners, read_corners
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.boards import find_saddles
-from mitsuba_plenoptic.extensions.calibrate.detect import evenly_lit
+from mitsuba_plenoptic.extensions.calibrate.detect import camera_centres, evenly_lit
 from mitsuba_plenoptic.views import white_image
 
 pytest.importorskip("cv2")

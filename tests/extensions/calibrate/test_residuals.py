@@ -4,12 +4,12 @@ import calibration_cases as cases
 import mitsuba as mi
 import numpy as np
 import pytest
-from refusals import refuses
 from scipy.spatial.transform import Rotation
 
-from mitsuba_plenoptic.calibration import Calibration, Evaluation, residual_map
+from mitsuba_plenoptic.calibration import Calibration, Evaluation
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, numbers_of, predict, predict_centres
 from mitsuba_plenoptic.extensions.calibrate.calibration_page import arrows, lens_errors, write_calibration_report
+from mitsuba_plenoptic.extensions.calibrate.calibration_result import residual_map
 
 TABLE, SEEN = cases.corners()
 GEOMETRY = {"pixel_size": 0.0055, "row_ratio": 0.75**0.5}
@@ -78,11 +78,6 @@ def test_arrows_are_residuals_a_hundred_times_as_long():
     assert arrow.get_offsets()[0] == pytest.approx((100.5, 50.5))
     assert (arrow.U[0], arrow.V[0]) == pytest.approx((25, -10))
     assert plot.axes[0].get_ylim() == (300, 0)
-
-
-@pytest.mark.parametrize(("by", "parts", "words"), [("colour", 6, "by = "), ("depth", 0, "parts = ")])
-def test_other_groups_are_refused(calibration, by, parts, words):
-    refuses(words, residual_map, calibration, cases.BOARD, TABLE, by, parts)
 
 
 def slope(function, values, index):

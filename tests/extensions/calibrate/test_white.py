@@ -8,8 +8,9 @@ import pytest
 from refusals import refuses
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, write_capture
-from mitsuba_plenoptic.calibration import camera_centres, find_centres, read_centres, write_centres
+from mitsuba_plenoptic.calibration import find_centres, read_centres, write_centres
 from mitsuba_plenoptic.cli import main
+from mitsuba_plenoptic.extensions.calibrate.detect import camera_centres
 from mitsuba_plenoptic.views import LensGrid, lens_grid, white_image
 
 PITCH, ROTATION, PHOTONS = 16.37, 0.3, 2000

@@ -11,7 +11,7 @@ from refusals import refuses
 
 from mitsuba_plenoptic import PlenopticCamera, read_prescription
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
-from mitsuba_plenoptic.prescription import Glass, bundled_prescription, paraxial
+from mitsuba_plenoptic.prescription import Glass, paraxial
 
 ZEMAX = """VERS 140124 258 36214
 MODE SEQ
@@ -289,7 +289,7 @@ def test_files_of_a_camera_are_found_beside_its_own(tmp_path, monkeypatch, kind)
 
     assert camera(main_lens="lens.zmx").main_lens == camera(main_lens="far/lens.zmx").main_lens == lens
     assert camera(main_lens=json.dumps(OWN)).main_lens == camera(main_lens="own.json").main_lens
-    assert camera(main_lens="tessar").main_lens == bundled_prescription("tessar")
+    assert camera(main_lens="tessar").main_lens == read_prescription("tessar")
     assert np.array_equal(camera(phase_screen="screen.json").phase_screen.waves, np.eye(8))
     refuses(rf"far/camera\.{kind}: main_lens = 'none\.zmx'", camera, main_lens="none.zmx")
 

@@ -8,6 +8,7 @@ from refusals import refused, refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import particles as pt
+from mitsuba_plenoptic.extensions.particles.flows import FLOWS
 from mitsuba_plenoptic.extensions.particles.particles_command import _flow
 
 CAMERA = mp.PlenopticCamera()
@@ -98,7 +99,7 @@ test_bad_flows_are_refused_in_one_line = refused(
     (lambda: pt.Uniform((1, 2)), r"speed = \(1, 2\)"),
     (lambda: pt.ImportedFlow(still(v="m/s")), "field: v is in m/s"),
     (lambda: pt.ImportedFlow(still(z="m")), "field: z is in m"),
-    (lambda: _flow("lamb_oseen:radius=2", pt.FLOWS, (0, 0, 240)), "radius: .*core"),
+    (lambda: _flow("lamb_oseen:radius=2", FLOWS, (0, 0, 240)), "radius: .*core"),
     (lambda: pt.ImportedFlow(__file__), "test_flows.py"),
 )
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.exchange import open_light_field, read_hci
+from mitsuba_plenoptic.exchange import open_light_field
 from mitsuba_plenoptic.io.exr import read_exr, read_exr_parts
 from mitsuba_plenoptic.report.images import Brightness, to_bytes
 from mitsuba_plenoptic.views import camera_of, focal_stack, refocus, view
@@ -44,7 +44,7 @@ def test_hci_states_the_size_of_pictures_of_a_cropped_capture(tmp_path, run):
         size = tuple(int(stated["intrinsics"][f"image_resolution_{axis}_px"]) for axis in "xy")
         assert size == picture.size
     assert size != camera.bin_count
-    assert read_hci(folder).shape[2:4] == size[::-1]
+    assert open_light_field(folder).shape[2:4] == size[::-1]
 
 
 def test_one_capture_is_converted_to_a_folder_of_another_benchmark(tmp_path, run, complaint):
