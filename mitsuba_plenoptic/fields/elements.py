@@ -130,7 +130,8 @@ def converging(
     z = camera.reduced_distance
 
     def phase(x: Any, y: Any) -> Any:
-        index = rays.chief_lenses(camera, x, y)
+        # Fields are those of a thin lens, whose pupil is in its plane.
+        index = camera.lattice.cell(*(rays.chief_point(camera, p) for p in (x, y)))
         cx, cy = camera.lattice.centre(*index)
         light = phasor(parabola((x - cx) ** 2 + (y - cy) ** 2, z, wavelength))
         return light if subset is None else _of_subset(light, index, interleave, subset)

@@ -39,9 +39,9 @@ def chief_detector_point(camera: PlenopticCamera, m: Any) -> Any:
     return m * ((b + camera.reduced_distance) / b)
 
 
-def chief_lenses(camera: PlenopticCamera, x: Any, y: Any, distance: Any = None) -> Pair:
-    """Lattice indices of the lenses to which detector points belong, as their cells contain `chief_point`."""
-    return camera.lattice.cell(*(chief_point(camera, p, distance) for p in (x, y)))
+def chief_lenses(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
+    """Lattice indices of the lenses of detector points: those whose cells hold the line to the pupil's centre."""
+    return camera.lattice.cell(*(chief_point(camera, p, camera.pupil_distance) for p in (x, y)))
 
 
 def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_length: Any) -> Any:

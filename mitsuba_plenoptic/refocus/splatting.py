@@ -192,7 +192,7 @@ def _landing(
         lens_type = np.zeros(lit.size, np.int8)
         if len(camera.mla_focal_lengths) > 1:
             pixel = camera.pixel_coordinates(0)[lit % columns], camera.pixel_coordinates(1)[rows][lit // columns]
-            lens = rays.chief_lenses(camera, *pixel, camera.pupil_distance)
+            lens = rays.chief_lenses(camera, *pixel)
             lens_type = lattice.lens_type(*lens).astype(np.int8)
         places.append([sample, lens_type, lit + rows.start * columns])
     sample, lens_type, pixels = (np.concatenate(parts) for parts in zip(*places, strict=True))

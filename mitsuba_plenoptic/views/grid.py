@@ -232,9 +232,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
     height = max(1, 2**20 // len(x))
     for first in range(0, len(y), height):
         rows = slice(first, first + height)
-        for indices, values in zip(
-            index, rays.chief_lenses(camera, *np.meshgrid(x, y[rows]), camera.pupil_distance), strict=True
-        ):
+        for indices, values in zip(index, rays.chief_lenses(camera, *np.meshgrid(x, y[rows])), strict=True):
             indices[rows] = np.rint(values)
     return index.astype(np.int64)
 

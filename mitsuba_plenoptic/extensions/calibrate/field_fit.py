@@ -9,7 +9,6 @@ nearly that of the zone), and leave the brightness of each lens free (variable p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -17,7 +16,6 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...runtime import Array, Progress, exponents, monomials
-from ...views import pixels_around
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -171,6 +169,22 @@ class Judgement:
         return float(np.sqrt(max(self.residual**2 - self.systematic**2, 0)))
 
 
+def pixels_of_cells(camera: PlenopticCamera, position: Array, good: Array) -> tuple[Array, Array, Array]:
+    """Return lens, column and row of each good pixel in the cells of lenses whose micro-images are at places (n, 2)."""
+    lattice = camera.lattice.regular
+    to_array = camera.pixel_size / camera.image_growth
+    half = int(np.ceil(lattice.cell_reach / to_array)) + 1
+    pixel = np.rint(position)[..., None] + np.arange(-half, half + 1)
+    middle = lattice.centre(0.0, 0.0)
+    x, y = ((pixel - position[..., None]) * to_array + np.reshape(middle, (2, 1))).swapaxes(0, 1)
+    inside = (pixel >= 0) & (pixel < np.reshape(good.shape[::-1], (2, 1)))
+    i, j = lattice.cell(x[:, None], y[..., None])
+    lens, row, column = np.nonzero((i == 0) & (j == 0) & inside[:, :1] & inside[:, 1, :, None])
+    column, row = (pixel[lens, axis, index].astype(int) for axis, index in enumerate((column, row)))
+    usable = good[row, column]
+    return lens[usable], column[usable], row[usable]
+
+
 @dataclass(frozen=True)
 class WhiteRecording:
     """A white picture, the camera with the regular array that it shows, and the model of its micro-images."""
@@ -179,28 +193,14 @@ class WhiteRecording:
     camera: PlenopticCamera
     model: MicroImageModel
 
-    @cached_property
-    def _bordered(self) -> Array:
-        """The light with a border of one pixel, and NaN there and where pixels are not good."""
-        return np.pad(np.where(self.frame.good, self.frame.light, np.nan), 1, constant_values=np.nan)
-
     def pixels(self, position: Array) -> tuple[Array, Array, Array, Array]:
         """Return numbers of lenses' first pixels (lenses + 1,), and values and offsets x and y of good pixels (n,).
 
         Places are (lenses, 2).
         """
-        camera = self.camera
-        to_array = camera.pixel_size / camera.image_growth
-        half = int(np.ceil(camera.lattice.cell_reach / to_array)) + 1
-        columns, rows, values = pixels_around(self._bordered, np.rint(position) + 1, half)
-        lens, row, column = np.nonzero(np.isfinite(values))
-        x = columns[lens, column] - 1 - position[lens, 0]
-        y = rows[lens, row] - 1 - position[lens, 1]
-        middle = camera.lattice.centre(0.0, 0.0)
-        i, j = camera.lattice.cell(x * to_array + middle[0], y * to_array + middle[1])
-        near = (np.rint(i) == 0) & (np.rint(j) == 0)
-        first = np.searchsorted(lens[near], np.arange(len(position) + 1))
-        return first, values[lens, row, column][near], x[near], y[near]
+        lens, column, row = pixels_of_cells(self.camera, position, self.frame.good)
+        x, y = (pixel - middle for pixel, middle in zip((column, row), position[lens].T, strict=True))
+        return np.searchsorted(lens, np.arange(len(position) + 1)), self.frame.light[row, column], x, y
 
     def beside(self, position: Array, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""

@@ -13,7 +13,7 @@ from ...detector import SHARP
 from ...errors import refuse_if
 from ...runtime import Array
 from ..calibrate.array_fit import ArrayFit, places
-from ..calibrate.field_fit import FieldNumbers
+from ..calibrate.field_fit import FieldNumbers, pixels_of_cells
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
 from ..calibrate.white_fit import WhiteFit
 
@@ -137,24 +137,10 @@ class PartPixels:
         rows, columns = (index.ravel() for index in np.mgrid[:down, :across])
         lens = first + np.stack([columns + shift[rows], rows], axis=-1)
         size = model.camera.resolution
-        half = int(np.ceil(model.pitch.max() / np.sqrt(2))) + 1
-        base = np.rint(model.places(lens)).astype(int)
-        window = np.arange(-half, half + 1)
-        column, row, of_lens = np.broadcast_arrays(
-            base[:, 0, None, None] + window,
-            base[:, 1, None, None] + window[:, None],
-            np.arange(len(lens))[:, None, None],
-        )
-        on_picture = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
-        column = column[on_picture]
-        row = row[on_picture]
-        of_lens = of_lens[on_picture]
-        lattice = model.camera.lattice
-        place = model.within(np.stack([column, row], axis=-1) - model.places(lens)[of_lens])
-        near = (np.stack(lattice.unit_cell(*(place + lattice.unit_centre(0, 0)).T)) == 0).all(0)
+        of_lens, column, row = pixels_of_cells(model.camera, model.places(lens), np.ones(size[::-1], bool))
         # Cells of a warped array overlap by parts of a pixel.
-        pixel, only = np.unique((row * size[0] + column)[near], return_index=True)
-        return cls(lens, (across, down), shift, pixel, of_lens[near][only])
+        pixel, only = np.unique(row * size[0] + column, return_index=True)
+        return cls(lens, (across, down), shift, pixel, of_lens[only])
 
 
 class ArrayPart:

@@ -20,9 +20,9 @@ import numpy as np
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import InputError, refuse_if, require_count, require_length, require_number
 from ...lenses import Wavefront, main_lens
-from ...optics import rays
 from ...points import check_positions
 from ...runtime import Array, Doubles, Flags, as_pixels
+from ...views import lenses_of_pixels
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,10 @@ def view_slopes(camera: PlenopticCamera, image: Any, point: Any) -> Slopes:
     require_support(camera, Use.LENS_CENTRES)
     pixels = _known_image(image, camera)
     image_of_point = main_lens(camera).images(check_positions([point], camera))[0]
-    lens, pupil = lenses_of_pixels(camera)
+    lens = centres_of_pixels(camera)
+    detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
+    # What pixels see through the centres of their lenses.
+    pupil = lens + (lens - detector) * (camera.mla_distance / camera.reduced_distance)
     inside = np.hypot(pupil[..., 0], pupil[..., 1]) <= camera.aperture_radius
     light = pixels[inside]
     moved = (lens - image_of_point)[inside] / camera.mla_distance
@@ -200,13 +203,9 @@ def mode_slopes(pupil: Doubles, radius: float, modes: int) -> Doubles:
     return np.stack([np.stack(np.broadcast_arrays(*Wavefront(term, radius).slope(x, y)), -1) for term in terms])
 
 
-def lenses_of_pixels(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
-    """Return the centre of each pixel's lens, and the pupil point seen through that centre, each (rows, columns, 2)."""
-    b = camera.mla_distance
-    z = camera.reduced_distance
-    detector = np.stack(np.meshgrid(camera.pixel_coordinates(0), camera.pixel_coordinates(1)), -1)
-    lens = np.stack(camera.lattice.centre(*rays.chief_lenses(camera, detector[..., 0], detector[..., 1])), -1)
-    return lens, lens + (lens - detector) * (b / z)
+def centres_of_pixels(camera: PlenopticCamera) -> Doubles:
+    """Return the centre of each pixel's lens, (rows, columns, 2)."""
+    return np.stack(camera.lattice.centre(*lenses_of_pixels(camera).astype(np.float64)), -1)
 
 
 def _known_image(image: Any, camera: PlenopticCamera | None = None) -> Doubles:

@@ -28,7 +28,7 @@ from ...points import CaptureOperator, check_positions
 from ...runtime import Doubles, as_array
 from ..inverse.fit_light import Pixels, check_views
 from ..inverse.fitting import Fit, PixelNoise, View, fit
-from .slopes import lenses_of_pixels, modes_from_slopes, view_slopes
+from .slopes import centres_of_pixels, modes_from_slopes, view_slopes
 
 COUNTS = PixelNoise(1.0)
 """Noise of a capture whose pixels are counted electrons."""
@@ -195,7 +195,7 @@ def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
     angle = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
     arrives = np.stack([lens.land(pupil, tuple(point)) for point in zone.points[zone.weights > 0]], -1)
-    centres = lenses_of_pixels(camera)[0].reshape(-1, 2).T[..., None, None]
+    centres = centres_of_pixels(camera).reshape(-1, 2).T[..., None, None]
     # Diffraction brings light to the lens beside.
     low = centres.min(1) - 1.5 * max(camera.mla_pitches)
     high = centres.max(1) + 1.5 * max(camera.mla_pitches)
