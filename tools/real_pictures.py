@@ -13,8 +13,8 @@ import numpy as np
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.calibration import fit_white
+from mitsuba_plenoptic.extensions.calibrate.white_frames import sensor_pictures
 from mitsuba_plenoptic.extensions.calibrate.white_page import white_figure
-from mitsuba_plenoptic.extensions.calibrate.white_result import sensor_values
 from mitsuba_plenoptic.extensions.prediction.real_page import pictures, planes_of
 from mitsuba_plenoptic.extensions.prediction.study import LIGHTS, Pictures, Study
 from mitsuba_plenoptic.io.cache import Cache
@@ -34,7 +34,7 @@ DEPTHS = -0.036, -0.027, -0.012, 0.012, 0.027
 
 def white() -> Plot:
     """Return the white picture beside that of the camera fitted to it."""
-    light, dark = (sensor_values(FOLDER / name) for name in ("radiometry_frame.png", "dark_frame.tif"))
+    light, dark = sensor_pictures(FOLDER / "radiometry_frame.png", dark=FOLDER / "dark_frame.tif")
     found = fit_white(light, mp.PlenopticCamera.preset("lfm_water"), dark=dark, wavelength=510.0)
     return white_figure(found)
 
@@ -42,8 +42,8 @@ def white() -> Plot:
 @cache
 def study() -> Study:
     """Return the study of the light field, whose runs are stored."""
-    names = ("light_field.png", "radiometry_frame.png", "dark_frame.tif")
-    given = Pictures(*(sensor_values(FOLDER / name) for name in names))
+    white, light_field, dark = (FOLDER / name for name in ("radiometry_frame.png", "light_field.png", "dark_frame.tif"))
+    given = Pictures(*sensor_pictures(white, light_field=light_field, dark=dark))
     rows, columns = given.white.shape
     box = PART[0] * columns, PART[1] * rows, PART[2] * columns, PART[3] * rows
     return Study(given, mp.PlenopticCamera.preset("lfm_water"), 510.0, box, [], Cache(STORED))

@@ -245,10 +245,10 @@ def white(
     from . import white_result
     from .photon_transfer import photon_transfer
     from .white_fit import fit_white
+    from .white_frames import sensor_pictures
     from .white_page import write_white_report
 
-    light = white_result.sensor_values(picture)
-    black = None if dark is None else white_result.sensor_values(dark)
+    light, black = sensor_pictures(picture, dark=dark)
     noise: PhotonTransfer | str | None = None
     if black is not None:
         try:

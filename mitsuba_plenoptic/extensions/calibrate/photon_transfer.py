@@ -19,7 +19,7 @@ from ...detector import Detector
 from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...linear import dark_variance
 from ...runtime import IMAGE, Doubles, Flags, Integers, as_array
-from .white_frames import matching, stuck
+from .white_frames import level_and_noise, matching, stuck
 
 _ORDERS = 2, 4, 6
 """Orders of the differences along either axis that remove a picture's structure: low ones leave slopes of it, and high
@@ -127,8 +127,9 @@ def photon_transfer(white: Any, dark: Any, *, bits: int | None = None) -> Photon
     )
 
     offset = black.mean(0)
-    level = float(np.median(offset))
-    noise = 1.4826 * float(np.median(np.abs(offset - level))) + 1
+    level, noise = level_and_noise(offset)
+    # Of rounding, too.
+    noise += 1
     hot = np.abs(offset - level) > 10.0 * noise
     mean_light = bright.mean(0) - level
     dead, _ = stuck(mean_light, noise)
@@ -316,7 +317,7 @@ def electrons(white: NDArray[np.floating]) -> float:
 def _deviation(picture: NDArray[np.floating], chosen: Flags) -> float:
     """Return the standard deviation of chosen pixels, from differences to their neighbours on the left and right."""
     second = ((2 * picture - np.roll(picture, 1, 1) - np.roll(picture, -1, 1)) / np.sqrt(6))[chosen]
-    return 1.4826 * float(np.median(np.abs(second - np.median(second))))
+    return level_and_noise(second)[1]
 
 
 @dataclass(frozen=True)

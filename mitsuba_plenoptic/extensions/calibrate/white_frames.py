@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.ndimage
 
+from ... import choices
 from ...errors import refuse_if, warn
+from ...io import Capture, read_numbers
 from ...runtime import Array, as_pixels
+from ...views import read_recording
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 """The neighbours of a pixel."""
@@ -43,8 +48,8 @@ class WhiteFrame:
         defective = np.zeros(light.shape, bool)
         if dark is not None:
             dark = matching("dark", dark, light)
-            away = dark - np.median(dark)
-            defective = np.abs(away) > 10.0 * max(1.4826 * float(np.median(np.abs(away))), 1e-3 * np.ptp(light))
+            level, noise = level_and_noise(dark)
+            defective = np.abs(dark - level) > 10.0 * max(noise, 1e-3 * np.ptp(light))
             refuse_if(dark.mean() > 0.5 * light.mean(), "dark: it is not darker than half of the white picture")
             light = light - dark
         lit_range = []
@@ -58,6 +63,30 @@ class WhiteFrame:
         defective &= ~unlit
         good = ~(saturated | defective | unlit)
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
+
+
+def sensor_pictures(white: Path, **others: Path | None) -> list[Any]:
+    """Return the values of a sensor's pictures, (rows, columns), the white one first; None where there is no file.
+
+    They are proportional to light: the numbers in a picture. Pictures have one channel, and the size of the white one.
+    """
+    light = single_channel("white", _values(white))
+    named = {name.replace("_", " "): path for name, path in others.items()}
+    pictures = [None if path is None else matching(name, _values(path), light) for name, path in named.items()]
+    return [light, *pictures]
+
+
+def _values(path: Path) -> Array:
+    if path.suffix.lower() in choices.RAW_SUFFIXES:
+        return read_numbers(path).numbers.astype(np.float64)
+    recording = read_recording(path, linear=True)
+    return recording.image if isinstance(recording, Capture) else recording
+
+
+def level_and_noise(values: Array) -> tuple[float, float]:
+    """Return the median of values and the deviation of usual ones from it."""
+    level = float(np.median(values))
+    return level, 1.4826 * float(np.median(np.abs(values - level)))
 
 
 def clipped(name: str, picture: Array) -> Array:

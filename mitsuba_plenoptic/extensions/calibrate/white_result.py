@@ -3,25 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ... import choices
-from ...io import Capture, read_numbers
-from ...runtime import Array
-from ...views import read_recording
 from .photon_transfer import PhotonTransfer
 from .white_fit import WhiteFit
-
-
-def sensor_values(path: Path) -> Array:
-    """Return a sensor's values, proportional to light: the numbers in a picture."""
-    if path.suffix.lower() in choices.RAW_SUFFIXES:
-        return read_numbers(path).numbers.astype(np.float64)
-    recording = read_recording(path, linear=True)
-    return recording.image if isinstance(recording, Capture) else recording
 
 
 def summary(fit: WhiteFit, noise: PhotonTransfer | str | None) -> list[str]:

@@ -23,7 +23,7 @@ from ...errors import naming, refuse_if, refusing, require_choice, require_numbe
 from ...io import Capture
 from ...runtime import Floats, read_text
 from ...views import lens_numbers
-from ..calibrate.white_result import sensor_values
+from ..calibrate.white_frames import sensor_pictures
 
 _AREAS = ("region", "even", "edge")
 
@@ -78,18 +78,16 @@ def read_recording_of(folder: Path) -> Recording:
     }
     for name in names[:2]:
         refuse_if(name not in paths, f"{folder}: it has no {name}.png, .tiff or .exr")
-    pictures = {name: sensor_values(path).astype(np.float32) for name, path in paths.items()}
-    dark = pictures.get("dark", np.zeros_like(pictures["light"]))
+    *pictures, dark = sensor_pictures(paths["white"], light=paths["light"], dark=paths.get("dark"))
     with naming(folder / "camera.json"):
         camera = camera_and_record(folder / "camera.json")[0]
-        for name, picture in pictures.items():
-            refuse_if(
-                picture.shape != camera.shape,
-                f"{name} of shape {picture.shape}: the camera records {camera.shape[0]} rows and {camera.shape[1]} "
-                "columns of one channel",
-            )
+        refuse_if(
+            pictures[0].shape != camera.shape,
+            f"white of shape {pictures[0].shape}: it must have the pixels of the camera, {camera.shape}",
+        )
     # Noise below black is no light; it is a small part of a pixel's value.
-    light, white = (np.maximum(pictures[name] - dark, 0) for name in names[:2])
+    black = np.float32(0) if dark is None else dark.astype(np.float32)
+    white, light = (np.maximum(picture.astype(np.float32) - black, 0) for picture in pictures)
     with naming(folder / "shapes.json"):
         shapes = _shapes(read_text(folder / "shapes.json", 2**20), camera)
     return Recording(light, white, camera, shapes)

@@ -11,7 +11,7 @@ import typer
 from ...camera import PlenopticCamera
 from ...errors import naming, refuse_if, refusing
 from ...io import Cache, StageOptions, write_json
-from ..calibrate.white_result import sensor_values
+from ..calibrate.white_frames import sensor_pictures
 from .real_page import write_page
 from .study import Pictures, Study
 
@@ -33,7 +33,7 @@ def compare_real(
 ) -> None:
     """Fit the camera by waves and by rays, predict withheld pixels of a light field, and write a page on it."""
     corners = _corners(part or PART)
-    pictures = Pictures(sensor_values(light_field), sensor_values(white), None if dark is None else sensor_values(dark))
+    pictures = Pictures(*sensor_pictures(white, light_field=light_field, dark=dark))
     rows, columns = pictures.white.shape
     box = tuple(corner * size for corner, size in zip(corners, (columns, rows) * 2, strict=True))
     study = Study(pictures, camera, wavelength, box, planes, Cache(folder, options))

@@ -15,7 +15,7 @@ from ...io import Cache, digest
 from ...runtime import Array, Progress
 from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
-from ..calibrate.white_frames import WhiteFrame, black_level, clipped, matching, single_channel, stuck
+from ..calibrate.white_frames import WhiteFrame, black_level, clipped, stuck
 from .array_part import ArrayPart, CameraModel, PartPixels
 from .point_patterns import distances_of, plane_of
 from .projector import SceneProjection
@@ -55,28 +55,25 @@ and step of a run, and per product of a pixel with an element in it."""
 
 @dataclass(frozen=True)
 class Pictures:
-    """Pictures of a real camera, of one size: a light field, something evenly white, and, if there is one, no light.
+    """Pictures of a real camera, as `sensor_pictures`: something evenly white, a light field, and no light or None.
 
     `good` are the pixels, flat, that are neither saturated nor defective.
     """
 
-    light_field: Array
     white: Array
+    light_field: Array
     dark: Array | None
     good: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        white = single_channel("white", self.white)
-        dark = self.dark if self.dark is None else matching("dark", self.dark, white)
-        put(self, light_field=matching("light field", self.light_field, white), white=white, dark=dark)
-        good = WhiteFrame.of(white, dark).good
+        good = WhiteFrame.of(self.white, self.dark).good
         noise = self.noise.dark_variance**0.5
         bright = float(np.quantile(self.electrons, _BRIGHT))
         refuse_if(
             bright < _LIT * noise,
             f"light field: bright pixels hold {bright:.3g} electrons, at a noise of {noise:.3g}: it has no light",
         )
-        dead, hot = stuck(self.electrons.reshape(white.shape), noise)
+        dead, hot = stuck(self.electrons.reshape(good.shape), noise)
         put(self, good=(good & ~(clipped("light field", self.light_field) | dead | hot)).ravel())
 
     @cached_property

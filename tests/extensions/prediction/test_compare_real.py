@@ -11,7 +11,7 @@ from PIL import Image
 from refusals import refused, refuses
 
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene, render_capture
-from mitsuba_plenoptic.extensions.calibrate.white_result import sensor_values
+from mitsuba_plenoptic.extensions.calibrate.white_frames import sensor_pictures
 from mitsuba_plenoptic.extensions.prediction import point_patterns, study
 from mitsuba_plenoptic.extensions.prediction.withheld import TESTS, Ratio
 from mitsuba_plenoptic.views import white_image
@@ -50,7 +50,7 @@ def record(folder, camera, white):
 def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("real")
     record(folder, CAMERA, scipy.ndimage.gaussian_filter(white_image(CAMERA), 0.6))
-    return folder, [sensor_values(folder / f"{name}.tif") for name in ("light", "white", "dark")]
+    return folder, sensor_pictures(folder / "white.tif", light_field=folder / "light.tif", dark=folder / "dark.tif")
 
 
 @pytest.fixture
@@ -101,21 +101,21 @@ def test_a_picture_by_waves_is_predicted_better_by_waves(kind, tmp_path, monkeyp
 
 
 def test_a_light_field_40_numbers_low_has_the_same_electrons(recorded):
-    light, white, dark = recorded[1]
-    right = study.Pictures(light, white, dark).electrons
+    white, light, dark = recorded[1]
+    right = study.Pictures(white, light, dark).electrons
     with pytest.warns(UserWarning, match="numbers below the dark picture"):
-        low = study.Pictures(light - 40, white, dark).electrons
+        low = study.Pictures(white, light - 40, dark).electrons
     assert np.abs(low - right).max() < 0.01 * right.mean()
 
 
 def test_dead_hot_and_clipped_pixels_are_left_out(recorded):
-    light, white, dark = recorded[1]
+    white, light, dark = recorded[1]
     bad = np.random.default_rng(0).random(light.shape) < 0.004
     np.place(stuck := light.copy(), bad, [0, 65535, 7 * light.max() // 2])
-    good = study.Pictures(stuck, white, dark).good.reshape(light.shape)
+    good = study.Pictures(white, stuck, dark).good.reshape(light.shape)
     assert good[bad].mean() < 0.2 < 0.999 < good[~bad].mean()
     for wrong, words in (light.clip(0, 150), "largest value"), (dark, "no light"):
-        refuses(f"light field: .*{words}", study.Pictures, wrong, white, dark)
+        refuses(f"light field: .*{words}", study.Pictures, white, wrong, dark)
 
 
 @pytest.mark.parametrize(("waves", "words"), [(3.0, "waves are better"), (30.0, "Neither waves nor rays explain")])
@@ -153,10 +153,11 @@ def test_wrong_options_get_one_line(empty, complaint):
 
 
 def test_messages_name_the_picture_that_is_wrong(recorded, complaint):
-    folder, (light, white, dark) = recorded
+    folder = recorded[0]
     (folder / "camera.json").write_text(CAMERA.replace(mla_lattice="hexagonal").to_json())
     assert f"{folder / 'white.tif'}: mla_lattice = hexagonal" in complaint(*command(folder, "--part", "0,0,1,1"))
-    refuses(r"light field of shape \(191, 192\)", study.Pictures, light[:-1], white, dark)
+    Image.new("I;16", (4, 3)).save(folder / "other.tif")
+    refuses(r"light field of shape \(3, 4\)", sensor_pictures, folder / "white.tif", light_field=folder / "other.tif")
 
 
 def judged(part=210, planes=(), **changes):
