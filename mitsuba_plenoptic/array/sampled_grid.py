@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, Array, Doubles, Flags, Pair, as_array, module_of, require_file, take, unit_of
+from ..runtime import IMAGE, Doubles, Pair, as_array, module_of, require_all, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -39,7 +39,7 @@ def known_samples(name: str, value: Any, units: Mapping[str, float]) -> Doubles:
         not all(low <= size <= high for size in samples.shape),
         f"{name} of shape {samples.shape}: it must be {low} to {high} rows of as many columns",
     )
-    _require_all(name, samples, np.isfinite(samples), "finite")
+    require_all(name, samples, np.isfinite(samples), "finite")
     values = np.array([[float(str(sample)) for sample in row] for row in samples])
     values.flags.writeable = False
     return values
@@ -52,7 +52,7 @@ def read_table(name: str, value: Any, *, largest: int, most: float, decimals: in
         not all(1 <= size <= largest for size in values.shape),
         f"{name} of shape {values.shape}: it must have 1 to {largest} rows and columns",
     )
-    _require_all(name, values, (values >= 0) & (values <= most), f"from 0 to {most:g}")
+    require_all(name, values, (values >= 0) & (values <= most), f"from 0 to {most:g}")
     values = values.round(decimals)
     values.flags.writeable = False
     return values
@@ -83,14 +83,8 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
             samples *= require_wavelength(nanometres, "WAVELEN") * units["nm"]
         samples *= units[plain]
     refuse_if(samples.ndim != 2, f"{name} of shape {samples.shape}: it must be rows of as many columns")
-    _require_all(name, samples, np.isfinite(samples), "finite")
+    require_all(name, samples, np.isfinite(samples), "finite")
     return samples
-
-
-def _require_all(name: str, samples: Array, right: Flags, rule: str) -> None:
-    """Refuse samples (rows, columns) of which one is not right."""
-    for row, column in np.argwhere(~right)[:1]:
-        raise InputError(f"{name}[{row}, {column}] = {samples[row, column]:g}: it must be {rule}")
 
 
 def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:

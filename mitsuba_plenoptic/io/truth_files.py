@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..choices import QUANTITIES
 from ..errors import InputError, naming, refuse_if, require_choice, short_repr
-from ..runtime import Array
+from ..runtime import Array, as_array
 from .exr import read_exr_parts, write_exr_parts
 
 TRUTH_SUFFIX = ".truth.exr"
@@ -146,13 +145,7 @@ def read_ground_truth(path: str | Path) -> GroundTruth:
         for part_name, shape in shapes_of.items():
             for plane in parts[part_name].values():
                 refuse_if(plane.shape != shape, f"its part {part_name} has the shape {plane.shape}: it must be {shape}")
-        to_world: Array = np.empty(0)
-        with contextlib.suppress(TypeError, ValueError):
-            to_world = np.array(attributes.get("to_world"), dtype=np.float64)
-        refuse_if(
-            to_world.shape != (4, 4) or not np.isfinite(to_world).all(),
-            f"to_world = {short_repr(attributes.get('to_world'))}: it must be 4 x 4 numbers",
-        )
+        to_world = as_array("to_world", attributes.get("to_world"), shape=(4, 4))
         shapes = attributes.get("shapes")
         if not isinstance(shapes, list) or not all(isinstance(shape, str) for shape in shapes):
             raise InputError(f"shapes = {short_repr(shapes)}: they must be names")

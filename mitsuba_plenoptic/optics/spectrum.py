@@ -75,13 +75,9 @@ class Spectrum:
     def __post_init__(self) -> None:
         refuse_if(not self.wavelengths, "spectrum: it must have a wavelength")
         put(self, wavelengths=tuple(require_wavelength(value) for value in self.wavelengths))
-        rule = "responses must be numbers, as many for every channel"
-        matrix = as_array("spectrum", self.responses, ("channel", "wavelength"), rule=rule)
-        refuse_if(
-            matrix.ndim != 2 or matrix.shape[1] != len(self.wavelengths) or not np.isfinite(matrix).all(),
-            f"spectrum: responses of shape {matrix.shape}: every channel must have a finite one to each of "
-            f"{len(self.wavelengths)} wavelengths",
-        )
+        rule = "they must be numbers, as many for every channel"
+        shape = None, len(self.wavelengths)
+        as_array("spectrum: responses", self.responses, ("channel", "wavelength"), rule=rule, shape=shape)
         put(self, nodes=tuple(require_wavelength(value, "spectrum: node") for value in self.nodes))
         refuse_if(len(set(self.nodes)) < len(self.nodes), f"spectrum: nodes = {self.nodes}: they must be different")
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import refuse_if, require_choice
+from ..errors import require_choice
 from ..optics import guards
 from ..runtime import Doubles, active_backend, as_array, one_at_a_time
 from .arrival import SampledField
@@ -61,7 +61,7 @@ class CoherentPoints:
         >>> operator.field_adjoint(field.samples, plane="array").shape
         (2,)
         """
-        amplitude = _complex("amplitudes", amplitudes, (len(self.points),), "one complex number for each point")
+        amplitude = _complex("amplitudes", amplitudes, (len(self.points),))
         with guards.watch():
             field = self.coherent_fields.at(amplitude, require_choice("plane", plane, PLANES))
         return SampledField(active_backend().to_host(field.samples), field.origin, field.pitch)
@@ -89,13 +89,11 @@ class CoherentPoints:
         """
         fields = self.coherent_fields
         shape = fields.shape(require_choice("plane", plane, PLANES))
-        field = _complex("samples", samples, shape, f"the samples of a field in the plane {plane}")
+        field = _complex("samples", samples, shape)
         return fields.adjoint(field, plane)
 
 
-def _complex(name: str, values: Any, shape: tuple[int, ...], meaning: str) -> NDArray[np.complex64]:
+def _complex(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.complex64]:
     """Return values as a complex array of a shape; refuse anything else."""
-    array = as_array(name, values, dtype=np.complex64, rule="they must be complex numbers")
-    refuse_if(array.shape != shape, f"{name} of shape {array.shape}: it must be {shape}, {meaning}")
-    refuse_if(not np.isfinite(array).all(), f"{name}: all must be finite")
-    return np.ascontiguousarray(array)
+    rule = "they must be complex numbers"
+    return np.ascontiguousarray(as_array(name, values, dtype=np.complex64, rule=rule, shape=shape))

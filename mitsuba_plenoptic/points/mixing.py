@@ -12,7 +12,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..fields import OpticalSystem
 from ..optics import Spectrum
-from ..runtime import POINTS, Array, Doubles, Floats, Job, as_array
+from ..runtime import POINTS, Array, Doubles, Floats, Job, as_array, require_all
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT = 0.1
@@ -119,7 +119,7 @@ class WeightChannels:
             factors.ndim not in (1, 2) or len(factors) != count or (factors.ndim == 2 and factors.shape[1] == 0),
             f"weights of shape {factors.shape}: it must be ({count},) or ({count}, channels)",
         )
-        refuse_if(not np.isfinite(factors).all(), "weights: they must be finite")
+        require_all("weights", factors, np.isfinite(factors), "finite")
         wavelengths = 1 if self.spectrum is None else len(self.spectrum.wavelengths)
         if factors.ndim == 1:
             return np.repeat(factors[:, None], wavelengths, axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..camera import NOT_ROUND, PlenopticCamera, Round, Use, require_camera, require_support
 from ..detector import DetectorOperator
-from ..errors import InputError, refuse_if, require_choice, require_wavelength, suggest_keywords
+from ..errors import InputError, require_choice, require_wavelength, suggest_keywords
 from ..fields import OpticalSystem
 from ..optics import guards
 from ..runtime import POINTS, Doubles, Floats, Job, Threads, as_array, one_at_a_time
@@ -106,6 +106,5 @@ def point_fields(camera: PlenopticCamera, position: Any, *, wavelength: float) -
 
 def _check(camera: PlenopticCamera, position: Any) -> Doubles:
     require_camera(camera)
-    point = as_array("position", position, POINTS[1:], rule="it must be three numbers (X, Y, g)")
-    refuse_if(point.shape != (3,), f"position = {position!r}: it must be three numbers (X, Y, g)")
+    point = as_array("position", position, POINTS[1:], rule="it must be three numbers (X, Y, g)", shape=(3,))
     return check_positions(point[None], camera)[0]

@@ -54,11 +54,7 @@ class PupilWeights:
         )
         if isinstance(weights, PupilWeights):
             return weights
-        values = as_array("pupil_weights", weights, ("point", *IMAGE[:2]), dtype=None)
-        refuse_if(
-            not np.isfinite(values).all() or (values < 0).any(),
-            "pupil_weights: they must be finite and not negative",
-        )
+        values = as_array("pupil_weights", weights, ("point", *IMAGE[:2]), dtype=None, shape=shape, least=0)
         if values.dtype == np.bool_:
             return cls.from_bits(np.packbits(values.reshape(count, -1), axis=1), shape[1])
         table, index = np.unique(values.astype(np.float32).reshape(count, -1), axis=0, return_inverse=True)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..errors import SHORTEST, InputError, refuse_if
+from ..errors import SHORTEST, InputError
 from ..lenses import Light, MainLens
 from ..runtime import MILLIMETRES, POINTS, Doubles, Flags, as_array
 
@@ -103,12 +103,7 @@ def _bounds(landing: Doubles, cosine: Doubles) -> Footprint:
 def check_positions(positions: Any, camera: PlenopticCamera | None = None, *, virtual: bool = False) -> Doubles:
     """Return scene points as a float64 array (n, 3); refuse anything else."""
     rule = "it must be numbers (X, Y, g)"
-    points = as_array("position", positions, POINTS, rule=rule, units=MILLIMETRES)
-    refuse_if(
-        points.ndim != 2 or points.shape[1] != 3,
-        f"positions of shape {points.shape}: it must be (n, 3), for X, Y and g",
-    )
-    _refuse_any(points, ~np.isfinite(points).all(1), "its coordinates must be finite")
+    points = as_array("positions", positions, POINTS, rule=rule, units=MILLIMETRES, shape=(None, 3))
     far = (np.abs(points) > _FARTHEST).any(1)
     rule = f"its coordinates must be {_FARTHEST:g} at most, and g"
     nearest = None if camera is None else camera.lens_data.nearest

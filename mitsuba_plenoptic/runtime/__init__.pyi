@@ -30,6 +30,7 @@ from .backend import module_of as module_of
 from .backend import on_cuda as on_cuda
 from .backend import one_at_a_time as one_at_a_time
 from .backend import quotient as quotient
+from .backend import require_all as require_all
 from .backend import require_pixels as require_pixels
 from .backend import require_unfrozen as require_unfrozen
 from .backend import require_units as require_units

@@ -388,10 +388,13 @@ def as_array(
     dtype: DTypeLike | None = np.float64,
     rule: str = "",
     units: Names | None = None,
+    shape: tuple[int | None, ...] | None = None,
+    least: float | None = None,
 ) -> np.ndarray:
     """Return a new array of numbers, real ones but for a complex type; refuse masked ones, and other units than named.
 
     Labelled arrays, of which `dims` lists the names in order, are transposed; they may state any unit without `units`.
+    With a `shape`, in which None is any size, the numbers must be finite, too, and none less than `least`.
     """
     unit = "" if units is None and hasattr(values, "attrs") else unit_of(values)
     plain = f"give plain numbers{f' in {units[0]}' if units else ''}"
@@ -423,7 +426,22 @@ def as_array(
     refuse_if(array.dtype.kind not in "biufc", rule)
     real = array.dtype.kind != "c" or np.dtype(dtype or float).kind == "c"
     refuse_if(not real, f"{name} of type {array.dtype}: it must hold real numbers")
-    return array.astype(dtype or array.dtype, copy=False)
+    array = array.astype(dtype or array.dtype, copy=False)
+    if shape is not None:
+        alike = array.ndim == len(shape) and all(n in (None, size) for n, size in zip(shape, array.shape, strict=True))
+        sizes = ", ".join("n" if size is None else str(size) for size in shape)
+        refuse_if(not alike, f"{name} of shape {array.shape}: it must be ({sizes}{',' * (len(shape) == 1)})")
+        require_all(name, array, np.isfinite(array), "finite")
+    if least is not None:
+        require_all(name, array, array >= least, f"at least {least:g}")
+    return array
+
+
+def require_all(name: str, array: np.ndarray, right: np.ndarray, rule: str) -> None:
+    """Refuse an array of which a number is not right, and name the first one."""
+    for index in np.argwhere(~right)[:1] if not right.all() else ():
+        at = f"[{', '.join(map(str, index))}]" if len(index) else ""
+        raise InputError(f"{name}{at} = {array[tuple(index)]:g}: it must be {rule}")
 
 
 def unit_of(values: Any) -> str:

@@ -171,18 +171,7 @@ class View:
         image = as_pixels("image", self.image)
         refuse_if(image.ndim != 2, f"image of shape {image.shape}: a camera is fitted to images of one channel")
         points = check_positions(self.points, virtual=self.virtual)
-        weights = as_array("weights", self.weights)
-        refuse_if(
-            weights.shape != (len(points),) or not np.isfinite(weights).all(),
-            f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers",
-        )
-        negative = np.flatnonzero(weights < 0)
-        if len(negative):
-            first = negative[0]
-            raise InputError(
-                f"weights: {len(negative)} of them are negative, the first, {weights[first]:g}, at {first}: light is "
-                "at least 0"
-            )
+        weights = as_array("weights", self.weights, shape=(len(points),), least=0.0)
         refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
         noise = self.noise
         if noise is not None and not isinstance(noise, PixelNoise):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
-from ...errors import NO_ARRAY, refuse_if, refusing, short_repr, suggest_keywords
+from ...errors import refuse_if, require_numbers, short_repr, suggest_keywords
 from ...runtime import Doubles, as_array
 
 
@@ -39,13 +40,9 @@ def volume_points(values: Any, lower: Any, upper: Any) -> tuple[Doubles, Doubles
         grid.ndim != 3 or grid.size == 0 or not np.isfinite(grid).all(),
         f"values of shape {grid.shape}: it must be finite and (planes, rows, columns), of one channel",
     )
-    corners = []
-    for name, value in (("lower", lower), ("upper", upper)):
-        rule = f"{name} = {short_repr(value)}: it must be three numbers (x, y, z)"
-        with refusing(rule, *NO_ARRAY):
-            corners.append(np.array(value, np.float64))
-        refuse_if(corners[-1].shape != (3,) or not np.isfinite(corners[-1]).all(), rule)
-    low, high = corners
+    corners = {"lower": lower, "upper": upper}
+    three = partial(require_numbers, count=3, form="three numbers (x, y, z)")
+    low, high = (np.array(three(name, value)) for name, value in corners.items())
     refuse_if(
         not (low < high).all(),
         f"upper = {short_repr(upper)}: it must be greater than lower = {short_repr(lower)} along each axis",

@@ -20,7 +20,7 @@ from ...errors import InputError, refuse_if, require_count, suggest_keywords
 from ...io import digest
 from ...optics import guards
 from ...points import CaptureOperator, recorded_pixels
-from ...runtime import POINTS, Doubles, Floats, Job, Part, PartialSum, SumTask, as_array, one_at_a_time
+from ...runtime import POINTS, Doubles, Floats, Job, Part, PartialSum, SumTask, as_array, one_at_a_time, require_all
 from .coherent import CoherentFields
 
 _BRIGHTEST = 1e30
@@ -80,12 +80,9 @@ def coherent_capture(
     """
     if not isinstance(operator, CaptureOperator):
         raise InputError(f"operator of type {type(operator).__name__}: it must be a CaptureOperator")
-    powers = as_array("weights", weights, POINTS, rule="they must be numbers")
-    expected = (len(operator.points),)
-    refuse_if(powers.shape != expected, f"weights of shape {powers.shape}: it must be {expected}, one for each point")
-    refuse_if(not np.isfinite(powers).all(), "weights: all must be finite")
-    refuse_if((powers < 0).any(), f"weights: {powers.min(initial=0):g} is among them: powers must be at least 0")
-    refuse_if((powers > _BRIGHTEST).any(), f"weights: {powers.max(initial=0):g} is among them: at most {_BRIGHTEST:g}")
+    rule = "they must be numbers"
+    powers = as_array("weights", weights, POINTS, rule=rule, shape=(len(operator.points),), least=0.0)
+    require_all("weights", powers, powers <= _BRIGHTEST, f"at most {_BRIGHTEST:g}")
     count = require_count("modes", modes)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     fields = operator.coherent_fields

@@ -12,12 +12,11 @@ import numpy as np
 from ...errors import (
     put,
     refuse_if,
-    refusing,
     require_numbers,
     require_wavelength,
     short_repr,
 )
-from ...runtime import Doubles, PlainData, known_record
+from ...runtime import Doubles, PlainData, as_array, known_record
 
 if TYPE_CHECKING:
     from ...camera import CameraGeometry
@@ -85,14 +84,11 @@ class PhotodiodeResponse(PlainData):
             put(self, **{name: _rising(name, angles)})
         wavelengths = tuple(require_wavelength(wavelength, "wavelengths") for wavelength in self.wavelengths)
         put(self, wavelengths=_rising("wavelengths", wavelengths))
-        with refusing("responses: they must be an array of numbers:", TypeError, ValueError):
-            table = np.array(self.responses, np.float64)
-        expected = (*((len(wavelengths),) if wavelengths else ()), len(self.angles_y), len(self.angles_x))
+        shape = (None, None, *filter(None, (len(wavelengths), len(self.angles_y), len(self.angles_x))))
+        table = as_array("responses", self.responses, shape=shape, least=0.0)
         refuse_if(
-            table.ndim != 2 + len(expected) or table.shape[2:] != expected or not {*table.shape[:2]} <= {1, 2},
-            f"responses of shape {table.shape}: it must be 1 or 2 rows and columns, then {expected}",
+            not {*table.shape[:2]} <= {1, 2}, f"responses of shape {table.shape}: rows and columns must be 1 or 2"
         )
-        refuse_if(not np.isfinite(table).all() or (table < 0).any(), "responses: they must be finite and not negative")
         put(self, responses=table)
 
     @cached_property

@@ -13,19 +13,17 @@ from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
 from ...detector import SHARP, DetectorOperator
 from ...errors import (
-    InputError,
     refuse_if,
     require_choice,
     require_count,
     require_number,
     require_wavelength,
-    short_repr,
     suggest_keywords,
 )
 from ...fields import OpticalSystem
 from ...lenses import main_lens
 from ...points import footprint, point_spread_function
-from ...runtime import Doubles
+from ...runtime import POINTS, Doubles, as_array
 from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
@@ -82,11 +80,8 @@ def psf_bank(
     require_choice("model", model, choices.MODELS)
     wavelength = require_wavelength(wavelength)
     distances = [require_number("depths", depth, positive=True, finite=False) for depth in depths]
-    positions = np.asarray(fields, np.float64)
-    if not distances or positions.ndim != 2 or positions.shape[1] != 2 or not np.isfinite(positions).all():
-        raise InputError(
-            f"depths = {short_repr(depths)}, fields = {short_repr(fields)}: they must be distances and pairs"
-        )
+    refuse_if(not distances, "depths: there is none")
+    positions = as_array("fields", fields, POINTS, shape=(None, 2))
     if size is None:
         reach = _reach(camera, distances, positions, wavelength)
         if model == "wave":

@@ -155,15 +155,10 @@ class RayProjector(LinearMap):
 
     def forward(self, weights: ArrayLike) -> Floats:
         """Return the image (rows, columns) of voxels with the given light, (n,)."""
-        weights = as_array("weights", weights, POINTS, dtype=np.float32)
-        refuse_if(not np.isfinite(weights).all(), "weights: all must be finite")
+        weights = as_array("weights", weights, POINTS, dtype=np.float32, shape=self._matrix.shape[1:])
         return (self._matrix @ weights).reshape(self.image_shape)
 
     def adjoint(self, image: ArrayLike) -> Floats:
         """Return each voxel's inner product with an image, (n,)."""
-        image = as_array("image", image, dtype=np.float32)
-        refuse_if(
-            image.shape != self.image_shape or not np.isfinite(image).all(),
-            f"image of shape {image.shape}: its pixels must be finite, {self.image_shape}",
-        )
+        image = as_array("image", image, dtype=np.float32, shape=self.image_shape)
         return self._matrix.T @ image.ravel()

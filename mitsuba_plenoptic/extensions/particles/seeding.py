@@ -41,14 +41,8 @@ _MEDIUM = partial(require_number, minimum=1, maximum=5)
 """Rule of a refractive index."""
 
 
-def require_points(name: str, points: ArrayLike) -> Doubles:
-    """Return points (n, 3) as floats; refuse other shapes, and points that are not finite."""
-    places = as_array(name, points, POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES)
-    refuse_if(
-        places.shape[1:] != (3,) or not np.isfinite(places).all(),
-        f"{name} of shape {places.shape}: they must be finite, and (n, 3)",
-    )
-    return places
+as_points = partial(as_array, dims=POINTS, rule="they must be numbers, (n, 3)", units=MILLIMETRES, shape=(None, 3))
+"""Rule of points (n, 3)."""
 
 
 @suggest_keywords
@@ -96,7 +90,7 @@ class Window:
         camera, wavelength : PlenopticCamera, float
             The camera, and the wavelength in vacuum, in nanometres.
         """
-        x, y, z = require_points("points", points).T
+        x, y, z = as_points("points", points).T
         seen = self.seen(z, camera)
         lens = camera.objective
         # Angles before the window, of the chief ray and of the pupil's radius.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...errors import refuse_if, require_choice, require_count, require_number, suggest_keywords
 from ...io import Capture, Checkpoint, digest
 from ...linear import LinearMap, Sirt, Smart, SolverState, StopRule, relative_residual, solve
-from ...runtime import Progress, as_array
+from ...runtime import Progress, as_pixels
 from .seeding import Window
 from .voxels import VoxelGrid
 
@@ -77,9 +77,7 @@ def reconstruct_volume(
             capture.camera != getattr(operator, "camera", capture.camera),
             "capture: its camera is not the operator's; give its image alone to reconstruct it with that",
         )
-    image = as_array("capture", pixels)
-    refuse_if(not np.isfinite(image).all(), "capture: its pixels must be finite")
-    image = np.maximum(image, 0)
+    image = np.maximum(as_pixels("capture", pixels, np.float64), 0)
     scale = math.sqrt(float((image**2).mean()))
     refuse_if(scale == 0, "capture: it is dark everywhere, so that there is nothing to reconstruct")
     aim = 0.0 if noise is None else require_number("noise", noise, positive=True) / scale

@@ -15,7 +15,7 @@ from ...errors import refuse_if, require_count, require_number, require_numbers,
 from ...io import Capture
 from ...runtime import POINTS, Doubles, Integers, Progress, as_array, counted
 from ..inverse.stored import StoredOperator
-from .seeding import Window, require_points
+from .seeding import Window, as_points
 from .voxels import elongation, values_of
 
 _STEP = 0.02
@@ -99,12 +99,11 @@ def refine_particles(
     light : float64 array (n,)
     """
     iterations = require_count("iterations", iterations)
-    positions = require_points("positions", positions)
+    positions = as_points("positions", positions)
     count = len(positions)
     wavelength = require_wavelength(capture.wavelength if wavelength is None else wavelength)
     refuse_if(not count, "positions: there is none to start from")
-    refuse_if(np.shape(light) != (count,), f"light of shape {np.shape(light)}: there are {count} positions")
-    light = as_array("light", light, POINTS)
+    light = as_array("light", light, POINTS, shape=(count,))
     camera = capture.camera
     window = window or Window(**capture.metadata.get("particles", {}).get("window", {}))
     positions = window.apparent(positions, camera, wavelength)
@@ -165,9 +164,9 @@ def match_particles(
         to that one.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
-    first = require_points("first", first)
-    second = require_points("second", second)
-    expected = (first + require_points("predicted", predicted)) / semi_axes
+    first = as_points("first", first)
+    second = as_points("second", second)
+    expected = (first + as_points("predicted", predicted)) / semi_axes
     there = second / semi_axes
     if not len(first) or not len(second):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)

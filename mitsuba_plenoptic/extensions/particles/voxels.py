@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
 from ...runtime import MILLIMETRES, POINTS, Array, Doubles, as_array, require_units
-from .seeding import ParticleVolume, require_points
+from .seeding import ParticleVolume, as_points
 
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
@@ -81,9 +81,7 @@ def values_of(*volumes: xr.DataArray) -> list[Doubles]:
             any(first.shape != other.shape or not np.allclose(other, first, 2e-7, allowed) for other in others),
             f"volumes: they must be on the same voxels, but differ in {axis}",
         )
-    values = [as_array("volume", volume, tuple("zyx")) for volume in volumes]
-    refuse_if(not all(np.isfinite(volume).all() for volume in values), "volumes: their voxels must be finite")
-    return values
+    return [as_array("volume", volume, tuple("zyx"), shape=(None,) * 3) for volume in volumes]
 
 
 def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width: Sequence[float]) -> xr.DataArray:
@@ -101,12 +99,8 @@ def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width
         Standard deviations along x, y and z in mm, half a voxel at least.
     """
     deviations = require_numbers("width", width, count=3, minimum=1e-9)
-    positions = require_points("positions", positions)
-    weights = as_array("weights", weights, POINTS)
-    refuse_if(
-        weights.shape != (len(positions),) or not np.isfinite(weights).all(),
-        f"weights of shape {weights.shape}: they must be finite, one for each of {len(positions)} positions",
-    )
+    positions = as_points("positions", positions)
+    weights = as_array("weights", weights, POINTS, shape=(len(positions),))
     refuse_if(
         (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
@@ -154,7 +148,7 @@ def ghost_fraction(volume: xr.DataArray, positions: Doubles, reach: Sequence[flo
         Semi-axes along x, y and z, in mm, of the ellipsoid around a particle that is its own.
     """
     semi_axes = np.array(require_numbers("reach", reach, count=3, minimum=1e-9))
-    positions = require_points("positions", positions)
+    positions = as_points("positions", positions)
     values = np.maximum(values_of(volume)[0], 0)
     lit = np.argwhere(values > 0)
     light = values[values > 0]

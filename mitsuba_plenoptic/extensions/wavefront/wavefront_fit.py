@@ -59,11 +59,9 @@ class Zone:
     def __post_init__(self) -> None:
         points = check_positions(self.points)
         refuse_if(not len(points), "points: a zone needs at least one")
-        weights = np.ones(len(points)) if self.weights is None else as_array("weights", self.weights)
-        if weights.shape != (len(points),) or not (np.isfinite(weights) & (weights >= 0)).all() or not weights.any():
-            raise InputError(
-                f"weights of shape {weights.shape}: they must be ({len(points)},) finite numbers, at least 0, not all 0"
-            )
+        relative = np.ones(len(points)) if self.weights is None else self.weights
+        weights = as_array("weights", relative, shape=(len(points),), least=0.0)
+        refuse_if(not weights.any(), "weights: all of them are 0: there is no light")
         put(self, points=points, weights=weights / weights.sum())
 
 
