@@ -468,26 +468,6 @@ def require_pitches(name: str, value: Any) -> tuple[float, float]:
     return pitches[0], pitches[-1]
 
 
-def require_pixels(name: str, value: Any, *, minimum: int) -> tuple[int, int]:
-    """Return a pair of counts of pixels, integers from `minimum` to 1048576."""
-    rule = functools.partial(require_count, minimum=minimum, maximum=MOST_PIXELS)
-    return require_pair(name, value, "(columns, rows)", rule)
-
-
-def require_place(name: str, value: Any) -> tuple[float, float]:
-    """Return a position in mm in the plane of the microlenses, a pair of coordinates within 1e9 of the axis."""
-    rule = functools.partial(require_number, minimum=-LONGEST, maximum=LONGEST)
-    return require_pair(name, value, meaning="(x, y)", rule=rule)
-
-
-def require_wavefront(name: str, value: Any) -> tuple[float, ...]:
-    """Return Zernike coefficients in waves, up to 66 of them, as a tuple."""
-    # 1000.0: Waves, root mean square over the pupil, of one of them at most.
-    bound = 1000.0
-    form = f"at most {MOST_ABERRATIONS} numbers"
-    return require_numbers(name, value, count=range(MOST_ABERRATIONS + 1), form=form, minimum=-bound, maximum=bound)
-
-
 def require_warp(name: str, value: Any) -> tuple[float, ...]:
     """Return 14 or 36 coefficients of a warp, fewer than 14 filled up with zeros; none if all are zero."""
     # Terms of third or of fifth degree: 7 or 18 along x, then as many along y.
@@ -495,28 +475,19 @@ def require_warp(name: str, value: Any) -> tuple[float, ...]:
     return numbers + (0.0,) * (14 - len(numbers)) if any(numbers) else ()
 
 
-def require_response(name: str, value: Any) -> tuple[float, ...]:
-    """Return pairs of an angle in degrees, rising from 0, and a response from 0 to 1, as one tuple of numbers."""
-    numbers = _require_pairs(name, value, "an angle in degrees and a response", "angles")
-    # 90.0: Degrees of incidence at most.
-    require_number(name, max(numbers[::2], default=0.0), maximum=90.0)
-    if any(response > 1 for response in numbers[1::2]):
-        raise InputError(f"{name} = {short_repr(value)}: its responses must be from 0 to 1")
-    return numbers
+def require_pairs(
+    name: str,
+    value: Any,
+    *,
+    meaning: str,
+    rising: str,
+    most: tuple[float, float],
+    start: float | None = None,
+) -> tuple[float, ...]:
+    """Return two or more pairs of nonnegative numbers, the first ones rising from 0, as one tuple; it may be empty.
 
-
-def require_chief_rays(name: str, value: Any) -> tuple[float, ...]:
-    """Return pairs of an image height, rising from 0, and a chief-ray angle in degrees, as one tuple of numbers."""
-    numbers = _require_pairs(name, value, "an image height and an angle in degrees", "heights")
-    # 80.0: Degrees of a chief ray to which lenses are aligned, at most.
-    require_number(name, max(numbers[1::2], default=0.0), maximum=80.0)
-    if any(numbers[1:2]):
-        raise InputError(f"{name} = {short_repr(value)}: its first angle, on the axis, must be 0")
-    return numbers
-
-
-def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[float, ...]:
-    """Return two or more pairs of nonnegative numbers, the first ones rising from 0, as one tuple; it may be empty."""
+    Neither number of a pair exceeds `most`, and `start` is the second one of the first pair.
+    """
     value = _plain(value)
     if not isinstance(value, (tuple, list)) or len(value) % 2 or len(value) == 2:
         raise InputError(f"{name} = {short_repr(value)}: it must be two or more pairs of {meaning}")
@@ -524,6 +495,10 @@ def _require_pairs(name: str, value: Any, meaning: str, rising: str) -> tuple[fl
     first = numbers[::2]
     if numbers and (first[0] != 0 or any(a >= b for a, b in itertools.pairwise(first))):
         raise InputError(f"{name} = {short_repr(value)}: its {rising} must rise from 0")
+    if numbers and start not in (None, numbers[1]):
+        raise InputError(f"{name} = {short_repr(value)}: its first pair must be 0, {start:g}")
+    for index, bound in enumerate(most):
+        require_number(name, max(numbers[index::2], default=0.0), maximum=bound)
     return numbers
 
 

@@ -6,6 +6,7 @@ gradients and searches work with all read this table. A new parameter is one ent
 
 from __future__ import annotations
 
+import math
 from collections import ChainMap
 from collections.abc import Callable, Sequence
 from dataclasses import fields
@@ -16,20 +17,20 @@ from typing import TYPE_CHECKING, Any, cast
 from ..array import APERTURES, LATTICES, NO_LATTICE, MicrolensShape, known_shape
 from ..errors import (
     FULL_TURN,
+    LONGEST,
+    MOST_ABERRATIONS,
+    MOST_PIXELS,
     STEEPEST_TILT,
-    require_chief_rays,
     require_choice,
     require_count,
     require_length,
     require_lengths,
     require_number,
     require_numbers,
+    require_pair,
+    require_pairs,
     require_pitches,
-    require_pixels,
-    require_place,
-    require_response,
     require_warp,
-    require_wavefront,
 )
 from ..extension import entries, place
 from ..prescription import Glass, LensData, known_glass, known_lens, read_lens
@@ -43,6 +44,8 @@ from .vignetting import Vignetting, known_vignetting
 MOST_APODISATION = 4.0
 """Largest coefficient of a pupil's transmission, which is then at most 9 times as high at the rim as at the centre."""
 
+_pixels = partial(require_pair, meaning="(columns, rows)")
+_place = partial(require_number, minimum=-LONGEST, maximum=LONGEST)
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
 _Glass = Glass | str | float | dict[str, Any]
@@ -200,7 +203,7 @@ class CoreParameters:
     )
     mla_offset: Parameter[tuple[float, float], tuple[float, float]] = Parameter(
         default=(0.0, 0.0),
-        check=require_place,
+        check=partial(require_pair, meaning="(x, y)", rule=_place),
         words="Position, x and y in the camera frame, of the point of the lattice that is on the axis by default.",
         form=Form.PLACE,
         unit="mm",
@@ -318,21 +321,21 @@ class CoreParameters:
     )
     resolution: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(4096, 4096),
-        check=partial(require_pixels, minimum=1),
+        check=partial(_pixels, rule=partial(require_count, maximum=MOST_PIXELS)),
         words="Columns and rows of the full detector.",
         form=Form.FILM,
         in_all_files=True,
     )
     crop_offset: Parameter[tuple[int, int], tuple[int, int]] = Parameter(
         default=(0, 0),
-        check=partial(require_pixels, minimum=0),
+        check=partial(_pixels, rule=partial(require_count, minimum=0, maximum=MOST_PIXELS)),
         words="Column and row of the first recorded pixel.",
         form=Form.FILM,
         in_all_files=True,
     )
     crop_size: Parameter[tuple[int, int] | None, tuple[int, int]] = Parameter(
         default=None,
-        check=partial(require_pixels, minimum=1),
+        check=partial(_pixels, rule=partial(require_count, maximum=MOST_PIXELS)),
         words="Columns and rows that are recorded.",
         form=Form.FILM,
         otherwise="all from `crop_offset` on",
@@ -366,7 +369,13 @@ class CoreParameters:
     )
     wavefront: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
-        check=require_wavefront,
+        check=partial(
+            require_numbers,
+            count=range(MOST_ABERRATIONS + 1),
+            form=f"at most {MOST_ABERRATIONS} numbers",
+            minimum=-1000.0,
+            maximum=1000.0,
+        ),
         words=(
             "Aberrations of the main lens: coefficients of Zernike polynomials over its pupil in Noll's order, "
             "beginning with piston, each in waves of 633 nm root mean square; up to 66, those left out are 0. Other "
@@ -435,7 +444,13 @@ class CoreParameters:
     )
     mla_cra: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
-        check=require_chief_rays,
+        check=partial(
+            require_pairs,
+            meaning="an image height and an angle in degrees",
+            rising="heights",
+            most=(math.inf, 80.0),
+            start=0.0,
+        ),
         words=(
             "Chief-ray angles to which the lenses are aligned: image heights in millimetres, rising from 0, each "
             "followed by an angle of incidence in degrees before the array, 0 first, with straight lines between and "
@@ -484,7 +499,7 @@ class CoreParameters:
     )
     pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
         default=(),
-        check=require_response,
+        check=partial(require_pairs, meaning="an angle in degrees and a response", rising="angles", most=(90.0, 1.0)),
         words=(
             "Angular response of the pixels: angles of incidence in degrees, rising from 0, each followed "
             "by a response from 0 to 1, with straight lines between and the last beyond."

@@ -73,7 +73,8 @@ def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
             raise InputError(
                 f"mla_distance = {values['mla_distance']:g} and focus_distance = {focus:g}: give one of the two"
             )
-        data.require_focusable(focus)
+        if data.focused_on:
+            raise InputError(f"focus_distance = {focus:g}: {data.focused_on}; leave it out")
         conjugate = image_distance(values["focal_length"], focus, name="focus_distance")
         values["mla_distance"] = PARAMETERS["mla_distance"].check("mla_distance", conjugate)
     elif values["mla_distance"] is None:

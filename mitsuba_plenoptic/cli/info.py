@@ -19,7 +19,7 @@ import typer
 from ..choices import RAW_SUFFIXES, Unit
 from ..errors import InputError, printable, refuse_if, require_number
 from . import options
-from .inputs import load_camera, parse_definitions, refuse_scene_options, require_png
+from .inputs import load_camera, parse_definitions, refuse_options, require_png
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -93,7 +93,7 @@ def camera(
     suffix = Path(source).suffix.lower()
     recorded = suffix in (".exr", *RAW_SUFFIXES) or format_of(suffix, "capture", source) is not None
     if recorded:
-        refuse_scene_options(source, parameters, unit)
+        refuse_options(f"{source} is no scene, and", unit=unit != "mm", D=parameters)
     require_png(dpi, drawing, microlens)
     # Bring libraries that take seconds to load.
     from ..design import design_warnings, mended

@@ -64,7 +64,7 @@ def _is_scene(source: str, parameters: dict[str, str], unit: str = "mm") -> bool
     # Some scenes are called as a camera; parameters are theirs.
     preset = source in PRESETS and not Path(source).is_file() and not (parameters and source in scene_names())
     if preset or states_camera(source) or source.lower().endswith((".json", ".js", ".yaml", ".yml")):
-        refuse_scene_options(source, parameters, unit)
+        refuse_options(f"{source} is no scene, and", unit=unit != "mm", D=parameters)
         return False
     require_camera_name("camera", source)
     content = content_of(Path(source)) if Path(source).exists() else SCENE_XML
@@ -89,16 +89,11 @@ def _sensor_of(source: str, parameters: dict[str, str], unit: str = "mm") -> Any
     return sensors[0]
 
 
-def refuse_scene_options(source: str, parameters: dict[str, str], unit: str) -> None:
-    """Refuse options of scenes for what is none."""
-    refuse_if(unit != "mm", f"--unit {unit}: {source} is no scene, and has its lengths in millimetres; leave it out")
-    refuse_if(parameters, f"-D: {source} is no scene, and has no scene parameters; leave it out")
-
-
 def refuse_options(work: str, **options: object) -> None:
     """Refuse options that a kind of work does not take."""
     for name, value in options.items():
-        refuse_if(value, f"--{name.replace('_', '-')}: {work} does not take it; leave it out")
+        option = f"{'-' if len(name) == 1 else '--'}{name.replace('_', '-')}"
+        refuse_if(value, f"{option}: {work} does not take it; leave it out")
 
 
 def require_linear(linear: bool, *paths: Path | None) -> None:

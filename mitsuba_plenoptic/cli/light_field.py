@@ -274,12 +274,12 @@ def convert(
     if format is None:
         require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
-    from ..runtime import require_apart
-    from ..views import HCI, require_light_field_path, save_light_field
+    from ..runtime import require_apart, require_writable
+    from ..views import HCI, save_light_field
 
     writer = None
     if format is None:
-        require_light_field_path(output)
+        require_writable(output, *LIGHT_FIELDS)
     else:
         writer = format_of(HCI, "light field", f"format = {format}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ..errors import refuse_if, require_number
+from ..errors import put_checked, refuse_if, require_number
 from ..io import response_of
 from ..runtime import Floats
 
@@ -41,8 +42,9 @@ class PixelNoise:
     dark_variance: float = 0.0
 
     def __post_init__(self) -> None:
-        require_number("electrons", self.electrons, positive=True)
-        require_number("dark_variance", self.dark_variance, minimum=0)
+        put_checked(
+            self, electrons=partial(require_number, positive=True), dark_variance=partial(require_number, minimum=0)
+        )
 
     @classmethod
     def of_exposure(cls, exposure: dict[str, Any]) -> PixelNoise:

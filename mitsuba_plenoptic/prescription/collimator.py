@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ..errors import put, refuse_if, require_length, suggest_keywords
+from ..errors import naming, put_checked, refuse_if, require_length, suggest_keywords
 from .lens_data import SINGLE, THIN, LensData, require_unscaled
 
 
@@ -33,12 +33,13 @@ class Collimator(LensData):
     mark: ClassVar[str] = "collimator_focal_length"
     is_thin: ClassVar[bool] = False
     converges: ClassVar[bool] = False
+    focused_on: ClassVar[str] = "a telescope with a collimator is focused at infinity"
 
     collimator_focal_length: float
 
     def __post_init__(self) -> None:
-        name = "main_lens: collimator_focal_length"
-        put(self, collimator_focal_length=require_length(name, self.collimator_focal_length))
+        with naming("main_lens"):
+            put_checked(self, collimator_focal_length=require_length)
 
     @property
     def images_stop(self) -> bool:
@@ -71,13 +72,6 @@ class Collimator(LensData):
         if not math.isnan(stated["mla_distance"]):
             require_unscaled(stated, {"mla_distance": distance}, SINGLE)
         return stated | {"mla_distance": distance}
-
-    def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse any given plane in focus, which is always infinity."""
-        refuse_if(
-            True,
-            f"focus_distance = {focus_distance:g}: a telescope with a collimator is focused at infinity; leave it out",
-        )
 
     def focus_distance(self, focal_length: float, mla_distance: float) -> float:
         """Return infinity, as light of stars leaves the collimator parallel."""

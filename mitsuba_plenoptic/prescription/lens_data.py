@@ -67,6 +67,8 @@ class LensData(PlainData):
         Whether the closed forms of thin lenses hold for its rays.
     converges : bool
         Whether chief rays come to the array from a pupil at a finite distance; else they are parallel to the axis.
+    focused_on : str
+        What the lens is focused on, if its plane in focus cannot be chosen.
     sets : tuple of str
         Parameters of the camera that the lens alone determines.
     """
@@ -77,6 +79,7 @@ class LensData(PlainData):
 
     is_thin: ClassVar[bool] = True
     converges: ClassVar[bool] = True
+    focused_on: ClassVar[str] = ""
     sets: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -127,9 +130,6 @@ class LensData(PlainData):
     def settled(self, stated: dict[str, float]) -> dict[str, float]:
         """Return the camera's main lens parameters, completed from given ones; refuse contradictions."""
         return stated
-
-    def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse a lens whose plane in focus cannot be chosen."""
 
     def require_fit(self, camera: Any) -> None:
         """Refuse a camera whose other parameters do not fit the lens."""

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from ..errors import (
     InputError,
-    put,
+    naming,
+    put_checked,
     refuse_if,
     require_choice,
     require_length,
     require_number,
-    short_repr,
     suggest_keywords,
 )
 from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
@@ -64,6 +65,7 @@ class Objective(LensData):
     mark = "magnification"
     is_thin = False
     converges = False
+    focused_on = "an objective is focused on its native object plane"
     sets = ("focal_length", "aperture_radius", "mla_distance")
 
     magnification: float
@@ -74,12 +76,16 @@ class Objective(LensData):
     fourier_focal_length: float | None = None
 
     def __post_init__(self) -> None:
-        def checked(name: str, **bounds: Any) -> None:
-            put(self, **{name: require_number(f"main_lens: {name}", getattr(self, name), positive=True, **bounds)})
-
-        checked("magnification", maximum=_STRONGEST)
-        checked("immersion", minimum=1, maximum=4.0)
-        checked("numerical_aperture")
+        with naming("main_lens"):
+            put_checked(
+                self,
+                magnification=partial(require_number, positive=True, maximum=_STRONGEST),
+                immersion=partial(require_number, minimum=1, maximum=4.0),
+                numerical_aperture=partial(require_number, positive=True),
+                tube_focal_length=require_length,
+                arrangement=partial(require_choice, choices=("image", "fourier")),
+                fourier_focal_length=require_length,
+            )
         refuse_if(
             self.numerical_aperture >= self.immersion,
             f"main_lens: numerical_aperture = {self.numerical_aperture:g}: it must be less than the index of the "
@@ -90,15 +96,12 @@ class Objective(LensData):
             f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
             f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
         )
-        put(self, tube_focal_length=require_length("main_lens: tube_focal_length", self.tube_focal_length))
-        require_choice("main_lens: arrangement", self.arrangement, ("image", "fourier"))
         name = "main_lens: fourier_focal_length"
         length = self.fourier_focal_length
-        if self.arrangement == "fourier":
+        if self.is_fourier:
             refuse_if(length is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
-            put(self, fourier_focal_length=require_length(name, length))
         elif length is not None:
-            raise InputError(f"{name} = {short_repr(length)}: it is for arrangement = fourier; leave it out")
+            raise InputError(f"{name} = {length:g}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:
@@ -167,12 +170,6 @@ class Objective(LensData):
         """Return the parameters set by the objective; refuse given ones that differ."""
         numbers = self.focal_length, self.stop_radius, self.last_focal_length
         return require_unscaled(stated, dict(zip(self.sets, numbers, strict=True)), SINGLE)
-
-    def require_focusable(self, focus_distance: Any) -> None:
-        """Refuse a plane in focus other than the native object plane."""
-        raise InputError(
-            f"focus_distance = {focus_distance:g}: an objective is focused on its native object plane; leave it out"
-        )
 
     def require_fit(self, camera: Any) -> None:
         """Refuse further aberrations, no array, and a tilted one in the image of the stop."""

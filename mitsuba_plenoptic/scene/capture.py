@@ -122,7 +122,8 @@ def render_capture(
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
     require_seen(integrator, chosen)
-    require_taken(integrator, checkpoint=checkpoint, batch_map=batch_map)
+    if not hasattr(integrator, "wavelengths"):
+        refuse_by_rays(checkpoint=checkpoint, batch_map=batch_map)
     spp = sample_count(chosen, spp)
     seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
     refuse_if(noise and spp < 2, f"spp = {spp}: it must be at least 2 for an estimate of the noise")
@@ -221,12 +222,6 @@ def numbered_sensor(scene: mi.Scene, index: int) -> mi.Sensor:
 def is_wave_capture(scene: Any, model: str | None) -> bool:
     """Return whether a capture is by waves: as `model` states, or by the scene's integrator if `model` is None."""
     return model == "wave" or (model is None and hasattr(scene.integrator(), "wavelengths"))
-
-
-def require_taken(integrator: Any, **given: Any) -> None:
-    """Refuse arguments that the integrator of a ray capture would ignore; None means not given."""
-    if not hasattr(integrator, "wavelengths"):
-        refuse_by_rays(**given)
 
 
 def refuse_by_rays(**given: Any) -> None:

@@ -30,7 +30,6 @@ from .light_field_files import open_light_field as open_light_field
 from .light_field_files import open_micro_images as open_micro_images
 from .light_field_files import read_labelled as read_labelled
 from .light_field_files import read_recording as read_recording
-from .light_field_files import require_light_field_path as require_light_field_path
 from .light_field_files import save_light_field as save_light_field
 from .light_field_files import write_labelled as write_labelled
 from .model_white import capture_white as capture_white

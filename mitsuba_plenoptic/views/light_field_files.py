@@ -177,24 +177,13 @@ def save_light_field(path: str | Path, lf: xr.DataArray) -> None:
     lf : xarray.DataArray
         The light field.
     """
-    name = require_light_field_path(path).name.lower()
+    name = require_writable(path, *LIGHT_FIELDS).name.lower()
     if name.endswith((".nc", ".zarr")):
         write_labelled(path, lf)
     elif of_extension := format_of(Path(path).suffix.lower(), "light field", str(path), write=True):
         place(*of_extension)(path, lf)
     else:
         write_mosaic(path, lf, layout="lenses" if name.endswith(_LENSES) else "views")
-
-
-def require_light_field_path(path: str | Path) -> Path:
-    """Return a path after a check, before a long computation, that a light field can be written there.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
-    return require_writable(path, *LIGHT_FIELDS)
 
 
 def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> GroundTruth | None:

@@ -13,12 +13,13 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ...errors import NO_RECORD, InputError, refuse_if, refusing, require_count, require_number
+from ...errors import NO_RECORD, InputError, naming, put_checked, refuse_if, refusing, require_count, require_number
 from ...runtime import atomic_output, read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
@@ -49,9 +50,10 @@ class Board:
     square: float
 
     def __post_init__(self) -> None:
-        for name in ("columns", "rows"):
-            require_count(f"board: {name}", getattr(self, name), minimum=2, maximum=1000)
-        require_number("square", self.square, positive=True, minimum=1e-6, maximum=1e6)
+        count = partial(require_count, minimum=2, maximum=1000)
+        with naming("board"):
+            put_checked(self, columns=count, rows=count)
+        put_checked(self, square=partial(require_number, positive=True, minimum=1e-6, maximum=1e6))
 
     @classmethod
     def parse(cls, text: str, square: float) -> Board:

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 
 from ...camera import PlenopticCamera
 from ...design import depth_ranges
-from ...errors import put_checked, refuse_if, require_choice, require_count, require_number, short_repr
+from ...errors import naming, put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
 from ...runtime import Array, drjit_array
@@ -72,8 +72,9 @@ class Illumination:
     lamp: float = 0.5
 
     def __post_init__(self) -> None:
-        for name in ("sky", "lamp"):
-            require_number(f"light: {name}", getattr(self, name), minimum=0, maximum=1e6)
+        light = partial(require_number, minimum=0, maximum=1e6)
+        with naming("light"):
+            put_checked(self, sky=light, lamp=light)
         refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
     def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:

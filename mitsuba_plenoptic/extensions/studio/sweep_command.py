@@ -9,15 +9,7 @@ import typer
 
 from ... import choices
 from ...cli import inputs, options, stopping
-from ...errors import refuse_if, refusing, short_repr
-
-
-def _require_numbers(option: str, text: str) -> None:
-    name, equals, values = text.partition("=")
-    refuse_if(not name or not equals, f"--{option} {text}: write it as --{option} NAME=VALUE,VALUE,...")
-    for value in values.split(",") if values.strip() else []:
-        with refusing(f"grid: {name} = {short_repr(value.strip())}: it must be a number", ValueError):
-            float(value)
+from ...errors import refuse_if
 
 
 def sweep(
@@ -25,7 +17,7 @@ def sweep(
     *,
     output: Annotated[Path, options.ends_in(".nc")],
     grid: options.Existing | None = None,
-    vary: Annotated[list[str], options.checked(_require_numbers)] | None = None,
+    vary: Annotated[list[str], options.assigned("--vary", "NAME=VALUE,VALUE,...")] | None = None,
     model: choices.Model | None = None,
     method: options.Method | None = None,
     spp: options.Count | None = None,

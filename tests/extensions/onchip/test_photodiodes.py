@@ -130,7 +130,7 @@ HALVES = {"photodiode_response": TABLE}
 test_mistakes = refused(
     (lambda: CAMERA.replace(mla_cra=(0, 0, 1)), "mla_cra = .*pairs"),
     (lambda: CAMERA.replace(mla_cra=(1, 0, 2, 3)), "heights"),
-    (lambda: CAMERA.replace(mla_cra=(0, 1, 2, 3)), "first angle"),
+    (lambda: CAMERA.replace(mla_cra=(0, 1, 2, 3)), "first pair"),
     (lambda: CAMERA.replace(mla_cra=(0, 0, 2, 85)), "mla_cra = 85"),
     (lambda: CAMERA.replace(pixel_crosstalk=0.3), "pixel_crosstalk = 0.3"),
     (lambda: CAMERA.replace(photodiode_response=TABLE | {"angles_x": [3, 2, 1, 0]}), "angles_x = "),
