@@ -52,25 +52,25 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 75_976,
-    "lines of the core": 50_005,
-    "tokens": 530_069,
-    "tokens of the core": 342_267,
-    "functions": 4_041,
-    "percentage of functions of at most three statements": 49.2,
-    "checks and raises": 1_837,
-    "definitions of checks": 130,
-    "names of the core that extensions import": 363,
-    "modules of the core that extensions import": 29,
-    "constants of modules": 905,
+    "lines": 74_631,
+    "lines of the core": 49_416,
+    "tokens": 526_124,
+    "tokens of the core": 340_025,
+    "functions": 3_937,
+    "percentage of functions of at most three statements": 47.5,
+    "checks and raises": 1_767,
+    "definitions of checks": 116,
+    "names of the core that extensions import": 361,
+    "modules of the core that extensions import": 28,
+    "constants of modules": 860,
     "lines of tests": 30_000,
     "lines of tools": 10_100,
-    "words of docs": 54_736,
+    "words of docs": 54_730,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_208,
+    "lines that a ray capture loads": 16_140,
     "modules that a wave capture loads": 133,
 }
-"""Values where the goal is not reached, with one hundredth for changes."""
+"""Values where the goal is not reached."""
 
 CAPTURE = """
 import sys, mitsuba as mi, mitsuba_plenoptic as mp
