@@ -111,6 +111,7 @@ def make_class() -> type:
         """
 
         __doc__ = with_sensor_parameters(__doc__ or "")
+        _rays: Any = None
 
         def __init__(self, props: Any) -> None:
             for name in ("near_clip", "far_clip"):
@@ -242,6 +243,9 @@ def make_class() -> type:
         def _sample(
             self, time: Any, wavelength_sample: Any, film_sample: Any, lens_sample: Any, active: Any, differential: bool
         ) -> Triple:
+            if self._rays is None:
+                # Calls are traced for each sensor that there is: also for a refused one that its exception holds.
+                return dr.zeros(mi.RayDifferential3f), dr.zeros(mi.Spectrum), dr.zeros(mi.Float)
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             rays = self._rays
             width = self.detector_width / self.film().size()[0]
@@ -296,6 +300,8 @@ def make_class() -> type:
             self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True
         ) -> Pair:
             """Return a random ray with differentials: rays from the next pixels through the same lens point."""
+            if self._rays is None:
+                return self._sample(time, sample1, sample2, sample3, active, differential=True)[:2]
             caller = sys._getframe(1).f_locals
             # Integrators do not tell sensors what they render.
             meet_moved(caller.get("scene"), self)

@@ -188,6 +188,9 @@ def test_rays_of_symbolic_loops_are_those_of_evaluated_ones(kind):
 
 
 def test_a_batch_is_the_pictures_of_its_cameras_and_follows_their_parameters():
+    """Whatever sensors there are: of a refused one an exception holds what was made."""
+    with pytest.raises(InputError) as held:
+        type(mi.load_dict(small("square").to_sensor()))(mi.Properties("plenoptic"))
     cameras = [small("square"), small("none")]
     film = {"type": "hdrfilm", "width": 64, "height": 24, "rfilter": {"type": "box"}, "pixel_format": "luminance"}
     ball = {"sky": {"type": "constant"}, "ball": {"type": "sphere", "center": [0, 0, 400], "radius": 3.0}}
@@ -203,6 +206,7 @@ def test_a_batch_is_the_pictures_of_its_cameras_and_follows_their_parameters():
         expected = np.array(mi.render(alone, integrator=mi.load_dict({"type": "path"}), spp=512))
         assert part.mean() == pytest.approx(expected.mean(), rel=0.01)
         assert np.corrcoef(part.ravel(), expected.ravel())[0, 1] > 0.98
+    assert held.traceback
 
 
 @pytest.mark.parametrize("kind", ["prbvolpath", "prb_projective"])
