@@ -52,25 +52,25 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 74_631,
-    "lines of the core": 49_416,
-    "tokens": 526_124,
-    "tokens of the core": 340_025,
-    "functions": 3_937,
-    "percentage of functions of at most three statements": 47.5,
-    "checks and raises": 1_767,
+    "lines": 74_800,
+    "lines of the core": 49_550,
+    "tokens": 527_500,
+    "tokens of the core": 341_000,
+    "functions": 3_950,
+    "percentage of functions of at most three statements": 47.6,
+    "checks and raises": 1_775,
     "definitions of checks": 116,
     "names of the core that extensions import": 361,
     "modules of the core that extensions import": 28,
-    "constants of modules": 860,
+    "constants of modules": 863,
     "lines of tests": 30_000,
     "lines of tools": 10_100,
     "words of docs": 54_730,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_140,
+    "lines that a ray capture loads": 16_150,
     "modules that a wave capture loads": 133,
 }
-"""Values where the goal is not reached."""
+"""Values where the goal is not reached, rounded up."""
 
 CAPTURE = """
 import sys, mitsuba as mi, mitsuba_plenoptic as mp
