@@ -39,12 +39,6 @@ class PhaseMap(MicrolensShape):
         Whether the phase is that of a relief, at one design wavelength :math:`\lambda_0`: at others it is
         :math:`\lambda_0 / \lambda` times as large, jumps included. Otherwise it is that of a metasurface, which is
         interpolated linearly between the wavelengths, without jumps, and constant beyond.
-
-    Raises
-    ------
-    InputError
-        If the phases are not numbers in 4 to 1024 rows and columns, or not one map for each wavelength, or a value is
-        out of range.
     """
 
     form = "phase_map"

@@ -32,11 +32,6 @@ class Sampled(MicrolensShape):
         cover the lens.
     glass : Glass, str, float or dict
         The lens's material, as `Glass.from_plain` takes it, or its index.
-
-    Raises
-    ------
-    InputError
-        If the heights are not numbers in 4 to 1024 rows and columns, or a value is out of range.
     """
 
     form = "sampled"

@@ -146,12 +146,6 @@ class Aperture(_Outlined, PlainData):
         an NPY, FITS, EXR or grey PNG file of it, whose values are proportional to power, and whose first row has the
         lowest y.
 
-    Raises
-    ------
-    InputError
-        If the picture is not square or too large, a value is not from 0 to 1, nothing is open, or a cell beyond the
-        circle is.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

@@ -44,11 +44,6 @@ class PhaseScreen(PlainData):
     width : float
         Distance of the first and the last column in millimetres; rows are as far apart as columns.
 
-    Raises
-    ------
-    InputError
-        If the samples are not numbers in 4 to 1024 rows and columns, or the width is not positive.
-
     Examples
     --------
     >>> import numpy as np
@@ -140,11 +135,6 @@ def frozen_flow(
     ------
     PhaseScreen
         The screen of each frame.
-
-    Raises
-    ------
-    InputError
-        If an argument is out of range, or the screen is too small for the distance that the wind moves it.
     """
     large = read_samples("waves", waves, phases(_MILLIMETRES))
     step, width = (require_number(name, value, positive=True) for name, value in (("step", step), ("width", width)))

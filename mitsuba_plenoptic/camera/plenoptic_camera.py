@@ -280,12 +280,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
             camera that do not follow from these, such as `mla_lattice`. With a `main_lens` the `focal_length` may be
             left out.
 
-        Raises
-        ------
-        InputError
-            If one of these is missing, follows from the others, or is out of range, or the main lens is an objective or
-            has a collimator.
-
         Examples
         --------
         >>> import mitsuba_plenoptic as mp
@@ -578,11 +572,6 @@ class PlenopticCamera(CameraGeometry, Displayed):
         ----------
         wavelength : float
             Wavelength in nanometres.
-
-        Raises
-        ------
-        InputError
-            If a glass has no index there.
         """
         if self.glass is None and self.mla_glass is None:
             return self

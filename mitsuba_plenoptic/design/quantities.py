@@ -447,11 +447,6 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
     -------
     (lenses, 2) int array
         Steps in the lattice's indices; the first is the chief ray's own lens.
-
-    Raises
-    ------
-    InputError
-        If micro-images overlap so much that these are more than 100,000.
     """
     lenses, reach, smear = _crosstalk(camera)
     reach += beyond

@@ -164,12 +164,6 @@ def expose(
         out. With a mosaic it has one channel, for `demosaic`, and its metadata the `wavelength` of the colours under
         ``exposure``.
 
-    Raises
-    ------
-    InputError
-        If an argument is out of range, the capture has been exposed already, or a mosaic is to record a capture that
-        has not three channels.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp

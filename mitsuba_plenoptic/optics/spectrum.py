@@ -60,12 +60,6 @@ class Spectrum:
     nodes : tuple of float
         Wavelengths at which point spreads are computed; at all others they are interpolated, see `interpolated`.
         Default: point spreads are computed at each wavelength.
-
-    Raises
-    ------
-    InputError
-        If there is no wavelength, one is outside 200 to 2500 nm, a channel does not have one finite response to each
-        wavelength, or two nodes are equal.
     """
 
     wavelengths: tuple[float, ...]

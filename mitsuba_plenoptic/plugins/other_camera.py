@@ -44,12 +44,6 @@ def with_camera(
         moved through either scene, and captures and ``mi.render`` of both show them there; functions of ``dr.freeze``
         only after one that is not frozen.
 
-    Raises
-    ------
-    InputError
-        If an argument is not a scene or a camera, there is no such sensor, it has no one place, its transform scales,
-        or Mitsuba cannot render the camera.
-
     Warns
     -----
     UserWarning

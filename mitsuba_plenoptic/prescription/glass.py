@@ -55,11 +55,6 @@ class Glass:
         The numbers; a table's wavelengths and indices in turn.
     name : str
         Name in a catalogue, for the reader.
-
-    Raises
-    ------
-    InputError
-        If there are not as many numbers as the form needs, or an index would not be from 1 to 5.
     """
 
     form: str

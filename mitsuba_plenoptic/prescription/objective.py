@@ -55,11 +55,6 @@ class Objective(LensData):
     fourier_focal_length : float, optional
         Focal length :math:`f_F` in millimetres of that further lens, which stands this far behind the native image
         plane and before the array; for "fourier" alone.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range, the aperture is not less than the immersion's index, or NA / M is above 0.1.
     """
 
     mark = "magnification"

@@ -113,11 +113,6 @@ class Surface:
             ``semi_aperture``.
         where : str
             Name of the surface in messages.
-
-        Raises
-        ------
-        InputError
-            If a name is unknown, a value out of range, or the surface ends within its semi-aperture.
         """
         refuse_if(
             not isinstance(value, dict), f"{where} = {short_repr(value)}: it must be numbers by name, such as radius"

@@ -172,13 +172,7 @@ def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
 
 
 def require_light_field(lf: Any) -> xr.DataArray:
-    """Return a light field after a check of its type and dimensions.
-
-    Raises
-    ------
-    InputError
-        If it is not a DataArray of finite numbers with the dimensions v, u, t, s and the coordinate `weight`.
-    """
+    """Return a light field after a check of its type and dimensions."""
     refuse_if(
         not isinstance(lf, xr.DataArray),
         f"light field of type {type(lf).__name__}: it must be an xarray.DataArray, as decode() gives",

@@ -48,12 +48,6 @@ class LensGrid:
         those of `mla_warp`, over positions in pixels from `middle`.
     middle : (float, float)
         Column and row coordinate from which positions count in the warp: the camera's axis.
-
-    Raises
-    ------
-    InputError
-        If a number is not finite, a spacing is not from 1e-3 to 1e6 pixels, an offset is beyond 1e9 pixels, a
-        rotation is beyond a full turn, or a count is not an integer from 1 to 1048576.
     """
 
     spacing: tuple[float, float]

@@ -73,11 +73,6 @@ def micro_images(
     Returns
     -------
     MicroImages
-
-    Raises
-    ------
-    InputError
-        As `decode` does, if there is no camera, and of Fourier microscopes.
     """
     image, reference, seen, upright = checked_images(capture, camera, white, grid)
     if upright is None:

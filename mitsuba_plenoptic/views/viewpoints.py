@@ -30,11 +30,6 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
     xarray.DataArray
         Dimensions t, s[, c]; upright, with the scalar coordinates u and v of the view.
 
-    Raises
-    ------
-    InputError
-        If the point is more than half a step beyond the views.
-
     Examples
     --------
     >>> import mitsuba_plenoptic as mp
@@ -116,11 +111,6 @@ def epipolar_image(
     -------
     xarray.DataArray
         Dimensions u, s[, c], or v, t[, c].
-
-    Raises
-    ------
-    InputError
-        If the axis is another word, or a position is more than half a step beyond the lines.
     """
     lf = require_light_field(lf)
     require_choice("axis", axis, Axis)

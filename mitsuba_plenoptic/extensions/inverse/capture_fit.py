@@ -93,12 +93,6 @@ def fit(
         Called with the number of cameras tried and the largest possible number.
     checkpoint : Checkpoint, optional
         Keeps the best camera of a long fit, so that the same fit resumes from there after a stop.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value, the camera has an objective, a capture is black or negative, the noise of a view
-        is not known, or a parameter changes no pixel.
     """
     from scipy.optimize import least_squares
 

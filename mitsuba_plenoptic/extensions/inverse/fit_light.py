@@ -151,11 +151,6 @@ class View:
     saturation : float, optional
         Value at which pixels are saturated. Pixels at or above it do not count, nor do pixels that a model expects
         within four standard deviations of it. Light that spills into neighbouring pixels is not modelled: mask these.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong shape or value; weights must not be negative or all zero.
     """
 
     image: Floats
@@ -242,11 +237,6 @@ def known_view(
         Seed of the points' pattern.
     noise, mask, saturation
         As for `View`.
-
-    Raises
-    ------
-    InputError
-        If an input has a wrong value, the scene shows no light, or it has a surface that is not matte.
     """
     require_support(camera, Use.SCENE_POINTS)
     camera = camera.regular

@@ -60,12 +60,6 @@ def demosaic(
     -------
     Capture
         The capture with three channels, and with the wavelengths before the exposure.
-
-    Raises
-    ------
-    InputError
-        If the capture has three channels already, no mosaic is known, the white image does not fit, or it is given
-        for ``plain``.
     """
     require_choice("method", method, METHODS)
     if capture.image.ndim != 2:

@@ -99,11 +99,6 @@ def phase_screen(phase: Any, wavelength: float) -> PhaseScreen:
     wavelength : float
         Wavelength of the phase in metres.
 
-    Raises
-    ------
-    InputError
-        If the grid is of another kind, or has fewer than 4 or more than 1024 samples along an axis.
-
     Examples
     --------
     >>> import hcipy

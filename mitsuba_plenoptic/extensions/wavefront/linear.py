@@ -100,11 +100,6 @@ class InteractionMatrix:
         -------
         float64 array (modes,)
             The terms in the unit and order of the camera's ``wavefront``.
-
-        Raises
-        ------
-        InputError
-            If an input has a wrong shape or value, or both `prior` and `rank` are given.
         """
         pixels = as_pixels("image", image, np.float64)
         refuse_if(
