@@ -186,6 +186,8 @@ def single_threaded_blas() -> Iterator[None]:
     The limit is that of the process: of contexts that overlap in several threads, the last to end lifts it.
     """
     with _limiting:
+        if not _limits:
+            _allow_this_thread()
         _limits.append(_limits[0] if _limits else _libraries().limit(limits=1, user_api="blas"))
     try:
         yield
@@ -193,7 +195,15 @@ def single_threaded_blas() -> Iterator[None]:
         with _limiting:
             limit = _limits.pop()
             if not _limits:
+                _allow_this_thread()
                 limit.restore_original_limits()
+
+
+def _allow_this_thread() -> None:
+    """Let the calling thread set limits: from version 3.8 on threadpoolctl obeys the first thread alone, in silence."""
+    for library in _libraries().lib_controllers:
+        if hasattr(library, "clear_controlling_thread"):
+            library.clear_controlling_thread(force=True)
 
 
 @cache

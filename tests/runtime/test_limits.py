@@ -2,6 +2,7 @@
 
 import re
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -121,9 +122,13 @@ def test_overlapping_threads_leave_the_linear_algebra_its_threads():
         return [each["num_threads"] for each in ThreadpoolController().info() if each["user_api"] == "blas"]
 
     before, first, second = counts(), single_threaded_blas(), single_threaded_blas()
-    first.__enter__()
-    second.__enter__()
-    first.__exit__(None, None, None)
-    assert set(counts()) == {1}
-    second.__exit__(None, None, None)
-    assert counts() == before
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(first.__enter__).result()
+        second.__enter__()
+        pool.submit(first.__exit__, None, None, None).result()
+        assert set(counts()) == {1}
+        second.__exit__(None, None, None)
+        assert counts() == before
+        with single_threaded_blas():
+            pass
+        assert pool.submit(single_threaded_blas()(counts)).result() == [1] * len(before)

@@ -54,7 +54,8 @@ def test_attributes_of_shapes_against_differences_and_places_refused():
     mi.set_variant("llvm_ad_rgb")
     scene, key, place = gaussians(), "gaussians.opacities", "gaussians.data"
     gradient = np.random.default_rng(2).uniform(0, 1, captured(scene, spp=1).shape)
-    assert pulled(scene, key, gradient) == pytest.approx(np.vdot(difference(scene, key, 5e-3), gradient), rel=0.01)
+    expected = np.vdot(difference(scene, key, 5e-3, 64), gradient)
+    assert pulled(scene, key, gradient, 64) == pytest.approx(expected, rel=0.01)
     params = mi.traverse(scene)
     dr.enable_grad(params[place])
     with pytest.raises(InputError, match=f"^plenoptic_wave: {place}: "):
