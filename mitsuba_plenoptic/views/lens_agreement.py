@@ -16,6 +16,7 @@ mean point at the nominal place, depths of a camera of three focal lengths were 
 
 from __future__ import annotations
 
+import itertools
 import math
 from functools import cached_property
 from typing import Any
@@ -47,6 +48,12 @@ _POINTS = 32
 # Parts along rows and columns into which an array is divided whose lenses are tilted, or seen unevenly.
 _ZONES = 6
 
+# Times by which lenses may be farther apart than neighbours, the part of their width by which micro-images may then be
+# moved, and by how much farther than the first such plane neighbours must agree best.
+_FARTHER = (2, 4)
+_MOVED = 0.6
+_BEYOND = 1.2
+
 
 class LensComparison:
     """The micro-images of a capture, for comparison plane by plane."""
@@ -64,11 +71,12 @@ class LensComparison:
         self._noise = _noise_of(images)
         self._steps = tuple(np.arange(size) - (size - 1) / 2 for size in images.weight.shape[2:])
 
-    def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
+    def disagreement(self, slope: float, apart: int = 1) -> tuple[Array, Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
         The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
-        variance of a bin's samples is to be explained; the variance between neighbouring lenses stays unexplained.
+        variance of a bin's samples is to be explained; the variance between lenses `apart` times as far apart as
+        neighbours stays unexplained.
         """
         shape = self._images.bins.shape
         # In focus on the array, or seen in one direction alone, nothing is seen by two lenses.
@@ -77,7 +85,7 @@ class LensComparison:
         values, opened = self._straightened(slope)
         squares, counts, sums, sums_of_squares = np.zeros((4, *opened.shape), dtype=np.float32)
         views = opened.shape[2:]
-        for block, neighbours, vector in self._pairs:
+        for block, neighbours, vector in self._pairs(apart):
             move = vector / slope
             if np.any(np.abs(move) > np.array(views[::-1]) - 2):
                 continue
@@ -87,8 +95,9 @@ class LensComparison:
             both = (_moved(opened[(*neighbours, next_v, next_u)], fv, fu) > 1 - 1e-3) * opened[target]
             first = values[target]
             second = _moved(values[(*neighbours, next_v, next_u)], fv, fu)
+            apart_by = second - first
             # The difference of two has twice the variance of each.
-            squares[target] += np.square(second - first).mean(axis=4) * both / 2
+            squares[target] += np.einsum("...c,...c->...", apart_by, apart_by) * (both / (2 * apart_by.shape[4]))
             mean = (first + second).mean(axis=4) / 2
             sums[target] += mean * both
             sums_of_squares[target] += np.square(mean) * both
@@ -112,11 +121,35 @@ class LensComparison:
         # leaves the noise of two independent.
         return ratio, total_variance, 8.0 * count_near, 2.0 * count_near, np.minimum(noise / many, variance)
 
-    @cached_property
-    def _pairs(self) -> list[tuple[tuple[slice, slice], tuple[slice, slice], Array]]:
+    def compare_farther(self, measured: Array, slopes: Array) -> None:
+        """Compare lenses farther apart where these see the same: there neighbours agree on many planes nearly as well.
+
+        What `disagreement` gave for all planes, (5, planes, rows, columns), is replaced. How far apart lenses are is
+        chosen once for each bin, as a distance that grew from plane to plane would look like a minimum before the end
+        of the search. On nearer planes, which have too little in common for these lenses and where neighbours saw no
+        point, the disagreement is raised to continue that of these.
+        """
+        # Disparity from which on neighbours move by less than the width of a micro-image.
+        nearest = max(np.abs(vector).max() for *_, vector in self._pairs(1)) / min(self._images.weight.shape[2:])
+        for apart in _FARTHER:
+            energy = np.log(np.nan_to_num(measured[0], nan=1.0))
+            best = np.abs(slopes[scipy.ndimage.gaussian_filter(energy, (0, 2.0, 2.0)).argmin(axis=0)])
+            far = np.abs(slopes) * _MOVED >= apart * nearest
+            row, column = np.nonzero(best * _MOVED >= _BEYOND * apart * nearest)
+            if not row.size:
+                continue
+            new = np.stack([self.disagreement(float(slope), apart) for slope in slopes[far]], axis=1)[:, :, row, column]
+            for side in (slopes < 0, slopes > 0):
+                if (far & side).any():
+                    first = np.where(far & side, np.abs(slopes), np.inf).argmin()
+                    step = new[0, np.count_nonzero(far[:first])] / measured[0, first, row, column]
+                    measured[0, np.flatnonzero(~far & side)[:, None], row, column] *= np.fmax(step, 1)
+            measured[:, np.flatnonzero(far)[:, None], row, column] = new
+
+    def _pairs(self, apart: int) -> list[tuple[tuple[slice, slice], tuple[slice, slice], Array]]:
         """Each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.
 
-        The offset is in pitches of the bins, along columns and rows.
+        The offset is in pitches of the bins, along columns and rows. Lenses are `apart` times as far apart.
         """
         grid = self._images.grid
         bins = self._images.bins
@@ -126,23 +159,24 @@ class LensComparison:
         reach = 2.0 * grid.nearest_distance * (1 + 1e-6)
         down_most, across_most = (math.ceil(reach / spacing) for spacing in grid.spacing[::-1])
         pairs = []
-        for down in range(down_most + 1):
-            staggered = grid.shifted_rows is not None and down % 2 == 1
+        for down, step in itertools.product(range(down_most + 1), range(-across_most - 1, across_most + 2)):
+            # From shifted rows to others, lenses of the same column stand half a step back.
+            between = 0.5 if grid.shifted_rows is not None and down % 2 == 1 else 0.0
+            way = np.array([(step + between) * grid.spacing[0], down * grid.spacing[1]])
+            if math.hypot(*way) > reach or (down == 0 and step <= 0):
+                continue
+            staggered = grid.shifted_rows is not None and apart * down % 2 == 1
             for first in (0, 1) if staggered else (0,):
-                # From shifted rows to others, lenses of the same column stand half a step back.
                 shift = 0.0 if not staggered else (-0.5 if first == grid.shifted_rows else 0.5)
-                for across in range(-across_most - 1, across_most + 2):
-                    way = np.array([(across + shift) * grid.spacing[0], down * grid.spacing[1]])
-                    if math.hypot(*way) > reach or (down == 0 and across <= 0):
-                        continue
-                    if down >= rows or abs(across) >= columns:
-                        continue
-                    step = 2 if staggered else 1
-                    left = max(0, -across)
-                    right = min(columns, columns - across)
-                    block = (slice(first, rows - down, step), slice(left, right))
-                    neighbours = (slice(first + down, rows, step), slice(left + across, right + across))
-                    pairs.append((block, neighbours, rotation @ way / bins.spacing))
+                across = round(apart * (step + between) - shift)
+                if apart * down >= rows or abs(across) >= columns:
+                    continue
+                every = 2 if staggered else 1
+                left = max(0, -across)
+                right = min(columns, columns - across)
+                block = (slice(first, rows - apart * down, every), slice(left, right))
+                neighbours = (slice(first + apart * down, rows, every), slice(left + across, right + across))
+                pairs.append((block, neighbours, rotation @ way * apart / bins.spacing))
         return pairs
 
     def _straightened(self, slope: float) -> tuple[Array, Array]:

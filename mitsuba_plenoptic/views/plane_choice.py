@@ -72,6 +72,8 @@ class Disagreement:
     independent: np.ndarray
     # Fraction of the variance that is to be explained which is noise, like `ratio`.
     noise: np.ndarray | float = 0.0
+    # Deviation of errors whatever the noise, over the tolerance, of each plane or of all.
+    off: np.ndarray | float = 0.0
 
 
 def disagreement(
@@ -82,6 +84,7 @@ def disagreement(
     brightness: np.ndarray,
     inverse: np.ndarray,
     noise: np.ndarray | float = 0.0,
+    off: np.ndarray | float = 0.0,
 ) -> Disagreement:
     """Return the disagreement of views; deviations too small for the bins' brightness count as noise."""
     bright = np.maximum(brightness, 0.02 * brightness.mean()) + np.finfo(np.float32).tiny
@@ -96,6 +99,7 @@ def disagreement(
         inverse,
         independent,
         noise / (total_variance + floor),
+        off,
     )
 
 
@@ -144,8 +148,8 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     plane, beyond what pure noise would leave on the best of all planes.
 
     The third result is the fraction of neighbours that, by their own evidence, are within twice the tolerance of this
-    plane, or as far as noise moves them; the fourth the probability that noise moves the least disagreement by less
-    than the tolerance; the last the rival of `Choice`.
+    plane, or as far as noise moves them; the fourth the probability that noise and errors whatever the noise move the
+    least disagreement by less than the tolerance; the last the rival of `Choice`.
     """
     # What cannot be compared agrees as badly as any.
     worst = np.fmax.reduce(views.ratio, axis=0)
@@ -201,9 +205,10 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
         left = np.take_along_axis(unexplained, at[None], 0) - np.take_along_axis(unexplained, here, 0)
         rise += left[0] / np.maximum(away / tolerance, 2) ** 2
     # Noise of variance s^2 in n samples, whose squared derivatives have the mean g^2, moves the minimum by a deviation
-    # of s / (g sqrt(n)); the variance that is left rises by g^2 on each side.
+    # of s / (g sqrt(n)); the variance that is left rises by g^2 on each side. Errors whatever the noise add theirs.
     certain = np.sqrt(independent * np.maximum(rise, 0) / (4 * np.maximum(noise_here, 1e-6)))
-    precise = erf(certain)
+    off = np.interp(plane, np.arange(len(ratio)), np.broadcast_to(views.off, len(ratio)))
+    precise = erf(certain / np.sqrt(1 + 2 * np.square(off * certain)))
     # Neighbours agree within the deviation by which noise moves their minima, which have a fifth of these samples, as
     # far as the valley reaches; but where another valley is as deep they may disagree about that. However far apart
     # planes are, the next ones agree.
