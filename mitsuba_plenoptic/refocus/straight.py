@@ -80,10 +80,11 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     basis = kinds * np.array(regular.lattice.basis)
     steps = np.linalg.solve(basis.T, regular.mla_offset)
     # Multiples of a pitch are rounded: 3 x 0.1 is not 0.3.
-    rest = (np.where(abs(steps - np.rint(steps)) < _SAME, 0.0, steps - np.rint(steps)) @ basis).tolist()
+    fractions = steps - np.rint(steps)
+    offset = np.where(abs(fractions) < _SAME, 0.0, fractions) @ basis
     if angle == regular.mla_rotation and not np.rint(steps).any():
         return regular
-    return regular.replace(mla_rotation=angle, mla_offset=tuple(rest))
+    return regular.replace(mla_rotation=angle, mla_offset=tuple(offset.tolist()))
 
 
 def _regular(camera: PlenopticCamera) -> PlenopticCamera:

@@ -84,13 +84,10 @@ def of_method(method):
 
     def array(draw):
         """An array turned or moved onto itself has the same image; behind oblique chief rays next to the same."""
-        if not draw.camera.has_array:
-            return None
         recorded = image_of(draw.camera, [draw.point(2.0) for _ in range(5)], draw.wavelength).astype(np.float32)
         g = draw.camera.focus_distance * float(draw.rng.choice([0.93, 1.1]))
-        images = [
-            refocused(camera, recorded, g, method, draw.wavelength)[0] for camera in (same_array(draw), draw.camera)
-        ]
+        cameras = same_array(draw), draw.camera
+        images = (refocused(camera, recorded, g, method, draw.wavelength)[0] for camera in cameras)
         return off_bins(*images), 2e-3 if "mla_cra" in draw.options else 2e-5
 
     costly = "mla_focal_length vignetting" if METHODS[method] is Use.RESPONSES else ""

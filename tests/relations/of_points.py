@@ -92,10 +92,9 @@ def same_array(draw):
     if draw.rng.random() < 0.5:
         vector = kinds * draw.rng.integers(-2, 3, 2) @ np.array(camera.lattice.basis)
         return camera.replace(mla_offset=tuple((np.array(camera.mla_offset) + vector).tolist()))
+    turn = 90.0 if camera.mla_lattice == "square" else 120.0 if kinds == 3 else 60.0
     if camera.mla_pitches[0] != camera.mla_pitches[1]:
         turn = 180.0 if kinds == 1 else 360.0
-    else:
-        turn = 90.0 if camera.mla_lattice == "square" else 120.0 if kinds == 3 else 60.0
     return camera.replace(mla_rotation=camera.mla_rotation + turn)
 
 

@@ -129,6 +129,4 @@ def test_overlapping_threads_leave_the_linear_algebra_its_threads():
         assert set(counts()) == {1}
         second.__exit__(None, None, None)
         assert counts() == before
-        with single_threaded_blas():
-            pass
         assert pool.submit(single_threaded_blas()(counts)).result() == [1] * len(before)
