@@ -12,10 +12,11 @@ from pathlib import Path
 # Glasses by name need Optiland, an extra of 800 MB: where it is not installed, what was recorded of it stands in.
 sys.path.append(str(Path(__file__).parent / "optiland_records" / "stand_in"))
 
-# Two test processes share the cores; the pools of Dr.Jit and of NumPy's and SciPy's linear algebra would start as many
-# threads in each, and those of the latter wait for one another by counting.
+# Two test processes share the cores: pools of Dr.Jit and of linear algebra would start as many threads in each, and the
+# latter wait for one another by counting. Pages of 2 MB, which NumPy asks for, are filled with zeros each time.
 os.environ.setdefault("DRJIT_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
 
 import pytest
 

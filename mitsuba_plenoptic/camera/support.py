@@ -57,6 +57,14 @@ _NO_COMMON_PUPIL = Condition(
     lambda camera: camera.objective is not None or camera.prescription is not None,
 )
 _PLACES = Condition("of places", lambda camera: camera.mla_jitter[0] > 0)
+_UNEQUAL = Condition(
+    "of focal lengths that spread light over more than 0.35 pixels",
+    # The light of one that is off by this fraction is as wide on the detector as the fraction of its lens.
+    lambda camera: (
+        camera.mla_jitter[1] * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
+        > 0.35 * camera.pixel_size
+    ),
+)
 
 # Reasons that several parameters share.
 _UNEVEN = (
@@ -267,10 +275,8 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "patches treat the array as periodic",
             "CaptureOperator with method full_field, or captures of scenes",
         ),
-        approximate(
-            Use.RESPONSES,
-            "lenses count as equal: focal lengths that spread light over more than 0.35 pixels are refused",
-        ),
+        refused(Use.RESPONSES, "lenses count as equal", "method ray", _UNEQUAL),
+        approximate(Use.RESPONSES, "lenses count as equal"),
         refused(_STRAIGHT, "the light is that of a regular array", "reconstruct", _PLACES),
         approximate(Use.FIELDS, "lenses count as equal; micro-images are moved back to regular places"),
         approximate(_GEOMETRY, "lenses count as equal and, when decoding, as regular"),

@@ -20,7 +20,6 @@ from scipy.ndimage import uniform_filter
 from ...camera import PlenopticCamera, Use, Vignetting, require_support
 from ...design import resolution_limit
 from ...detector import SHARP, DetectorOperator
-from ...errors import refuse_if
 from ...fields import OpticalSystem, upright
 from ...lenses import FittedLens, MainLens, RealLens, inverse_distance, open_area
 from ...optics import in_millimetres
@@ -248,16 +247,6 @@ class Response(StoredResponse):
         recorded = camera
         camera = straightened(camera).replace(**SHARP)
         require_support(camera, Use.RESPONSES | Use.KERNELS)
-        # The width on the detector of light that converges to a point behind a lens of the nominal focal length.
-        width = (
-            camera.mla_jitter[1] * max(camera.mla_pitches) * camera.detector_distance / min(camera.mla_focal_lengths)
-        )
-        pixels = width / camera.pixel_size
-        refuse_if(
-            pixels > 0.35,
-            f"mla_jitter = {camera.mla_jitter}: its focal lengths spread light over {pixels:.2g} pixels: responses, of "
-            "equal lenses, allow 0.35; use method ray, or leave it out",
-        )
         if wavelength is None:
             grid = ray_grid(camera)
             self._together = 1

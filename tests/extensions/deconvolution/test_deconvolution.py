@@ -184,8 +184,7 @@ def test_points_come_back():
         found = [np.average(axis[near], weights=image[near]) for axis in (x, y)]
         assert np.hypot(*(found - place)) < 0.1 * size
         assert image[near].sum() * weight == pytest.approx(power, rel=0.03)
-    assert result.facts["iterations"] == 60
-    assert 0 < result.facts["residual"] < 0.3
+    assert result.facts["iterations"] == 60 and 0 < result.facts["residual"] < 0.3
     assert result.facts["resolution_limit"] == resolution_limit(SMALL, distance, WAVELENGTH).frequency
     assert not result.facts["in_focus"]
 
@@ -214,8 +213,7 @@ def test_a_dark_channel_stays_dark():
     found = mp.reconstruct(mp.Capture(np.stack([red, dark, dark - 1e-7], -1), SMALL, None, "wave"), 253.0, **options)
     alone = mp.reconstruct(mp.Capture(red, SMALL, None, "wave"), 253.0, **options)
     np.testing.assert_array_equal(found.image[..., 0], alone.image)
-    assert (found.image[..., 1:] == 0).all()
-    assert found.facts == alone.facts
+    assert (found.image[..., 1:] == 0).all() and found.facts == alone.facts
     # So are the pixels of a detector without light that read noise has all put below 0.
     noise = mp.Capture(np.stack([red, dark - 0.01, dark], -1), SMALL, None, "wave")
     found = mp.reconstruct(noise, 253.0, photons=100.0, **options)
@@ -228,14 +226,13 @@ def test_resolution_limit_is_the_two_formulas(distance, waves, pixels):
     assert found.waves == pytest.approx(waves, rel=1e-3)
     assert found.pixels == pytest.approx(pixels, rel=1e-3)
     assert found.frequency == found.waves
-    assert not found.in_focus
-    assert resolution_limit(mp.PlenopticCamera(), 245.0, WAVELENGTH).in_focus
+    assert not found.in_focus and resolution_limit(mp.PlenopticCamera(), 245.0, WAVELENGTH).in_focus
     assert resolution_limit(mp.PlenopticCamera(), 240.0, WAVELENGTH).frequency == pytest.approx(3.906, rel=1e-3)
 
 
-def refocused(camera, image, distance=250.0):
+def refocused(camera, image, distance=250.0, **options):
     capture = mp.Capture(image.astype(np.float32), camera, WAVELENGTH, "wave")
-    return mp.reconstruct(capture, distance, method="incoherent").image
+    return mp.reconstruct(capture, distance, method="incoherent", **options).image
 
 
 def test_bins_weigh_the_capture_with_the_spreads_of_their_points():
@@ -260,7 +257,8 @@ def test_it_is_linear_also_below_zero():
 def test_lenses_may_differ_as_far_as_light_stays_within_pixels():
     """Focal lengths that differ by 1 % widen a point's image by a third of a pixel, those by 3 % by a whole one."""
     image = np.random.default_rng(0).random(FOUR.shape)
-    assert np.isfinite(refocused(FOUR.replace(mla_jitter=(0.0, 0.01)), image)).any()
+    equal, jittered = (refocused(each, image, white=image) for each in (FOUR, FOUR.replace(mla_jitter=(0.0, 0.01))))
+    np.testing.assert_allclose(jittered, equal, rtol=0.01)
     refuses(r"mla_jitter = \(0.0, 0.03\)", refocused, FOUR.replace(mla_jitter=(0.0, 0.03)), image)
 
 
