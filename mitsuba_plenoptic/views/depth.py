@@ -393,7 +393,9 @@ def disagreement_of_planes(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    off = _off(lf, slopes) if lf.attrs.get("camera") else 0.0
+    off = _off(lf, slopes)[:, None, None] if lf.attrs.get("camera") else 0.0
+    if is_focused(lf):
+        off = off * np.hypot(1, lenses.moved_by_brightness() * np.abs(slopes[:, None, None]) / _OFF)
     return disagreement(ratio, variance, counted_for, independent, brightness, 1 / distances, noise, off), samples
 
 

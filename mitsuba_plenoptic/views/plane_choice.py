@@ -72,7 +72,7 @@ class Disagreement:
     independent: np.ndarray
     # Fraction of the variance that is to be explained which is noise, like `ratio`.
     noise: np.ndarray | float = 0.0
-    # Deviation of errors whatever the noise, over the tolerance, of each plane or of all.
+    # Deviation of errors whatever the noise, over the tolerance, like `ratio`.
     off: np.ndarray | float = 0.0
 
 
@@ -207,7 +207,7 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     # Noise of variance s^2 in n samples, whose squared derivatives have the mean g^2, moves the minimum by a deviation
     # of s / (g sqrt(n)); the variance that is left rises by g^2 on each side. Errors whatever the noise add theirs.
     certain = np.sqrt(independent * np.maximum(rise, 0) / (4 * np.maximum(noise_here, 1e-6)))
-    off = np.interp(plane, np.arange(len(ratio)), np.broadcast_to(views.off, len(ratio)))
+    off = np.take_along_axis(np.broadcast_to(views.off, ratio.shape), here, 0)[0]
     precise = erf(certain / np.sqrt(1 + 2 * np.square(off * certain)))
     # Neighbours agree within the deviation by which noise moves their minima, which have a fifth of these samples, as
     # far as the valley reaches; but where another valley is as deep they may disagree about that. However far apart

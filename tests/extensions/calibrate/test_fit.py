@@ -49,8 +49,7 @@ def test_a_known_camera_comes_back(found, table, tmp_path):
         assert abs(found.numbers[name] - true[name]) < 4 * found.deviations[name] + 1e-9, name
     assert found.numbers["focal_length"] == pytest.approx(true["focal_length"], rel=0.02)
     np.testing.assert_allclose(found.evaluation.poses[:, 5], cases.POSES[:, 5], rtol=0.01)
-    assert found.camera.crop_size == START.crop_size
-    assert len(found.evaluation.outliers) < 3
+    assert found.camera.crop_size == START.crop_size and len(found.evaluation.outliers) < 3
     # Its file explains as much.
     cal.write_calibration(tmp_path / "camera.json", found, cases.BOARD)
     assert read_camera(tmp_path / "camera.json") == (found.camera, found.index)
@@ -83,8 +82,7 @@ def test_deviations_are_true():
         error = (found.numbers - true) * np.abs(triangle).max(0)
         ratios.append((singular * (directions @ error))[:12])
     mean = (np.array(ratios) ** 2).mean(0)
-    assert (mean > 0.45).all()
-    assert (mean < 1.8).all()
+    assert (mean > 0.45).all() and (mean < 1.8).all()
     assert mean.mean() == pytest.approx(1, abs=0.15)
 
 
@@ -97,8 +95,7 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found):
         columns[name][far] += generator.choice([-1, 1], len(far)) * generator.uniform(20, 500, len(far))
     columns["cluster"][other] = (columns["cluster"][other] + generator.integers(1, 24, len(other))) % 24
     spoiled = calibrate(cal.Table("corners.csv", columns), cases.BOARD, START, centres)
-    assert set(bad) <= set(spoiled.evaluation.outliers)
-    assert len(spoiled.evaluation.outliers) < len(bad) + 3
+    assert set(bad) <= set(spoiled.evaluation.outliers) and len(spoiled.evaluation.outliers) < len(bad) + 3
     assert spoiled.evaluation.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
     for name, value in spoiled.numbers.items():
         # A twentieth of the rows less moves numbers by a fifth of their deviations.
@@ -135,8 +132,7 @@ def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
     assert not found.by_frames
     # As large as the noise.
     bent = calibrate(bent_frames(table, 0.1), cases.BOARD, START, centres)
-    assert bent.by_frames
-    assert bent.disagreement > 2
+    assert bent.by_frames and bent.disagreement > 2
     true = dict(zip(NAMES, numbers_of(cases.CAMERA), strict=True))
     told = [name for name in NAMES if not name.startswith("offset")]
     apart = [(bent.numbers[name] - true[name]) / bent.deviations[name] for name in told]
@@ -249,8 +245,7 @@ def test_the_command_names_what_corners_leave_open(tmp_path, run):
     assert "leave the focal length open; with +" in printed and "go mla_distance +" in printed
     assert "boards in other poses are predicted to 0." in printed
     record = json.loads(output.read_text())["calibration"]
-    assert record["open_direction"]["mla_distance"] > 1
-    assert 0.1 < record["prediction_deviation_px"] < 1
+    assert record["open_direction"]["mla_distance"] > 1 and 0.1 < record["prediction_deviation_px"] < 1
 
 
 def test_corners_alone_tell_where_micro_images_are(table, found):
@@ -274,8 +269,7 @@ def test_a_real_camera(tmp_path, run):
     run("calibrate", "boards", corners, *board, "--camera", start, "--centres", centres, "-o", output)
     *_, last = run("calibrate", "evaluate", corners, "--camera", output, *board).splitlines()
     error, rest = last.removeprefix("reprojection error ").split(" ", 1)
-    assert rest == "px over 12433 observations of 11 poses"
-    assert float(error) <= 0.965
+    assert rest == "px over 12433 observations of 11 poses" and float(error) <= 0.965
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
