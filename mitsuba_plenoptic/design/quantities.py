@@ -175,9 +175,9 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
 
 
 def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
-    """Width of a pixel in the object plane, seen through its lens's centre, in mm: :math:`p |s| b / z`.
+    """Width of what a pixel sees of the object plane through its lens's centre, in mm on the MLA: :math:`p |s| b / z`.
 
-    Projected onto the MLA through the main lens's centre; see the head of this module.
+    It is projected onto the MLA through the main lens's centre; see the head of this module.
 
     Parameters
     ----------

@@ -168,7 +168,7 @@ class LensComparison:
         count, light, down, across, squares = scipy.ndimage.gaussian_filter(sums, (0, _SHARED, _SHARED))
         slope = np.hypot(down, across)
         # Noise makes up most of the squares where texture is weak.
-        squares = np.maximum(0.2 * squares * count, np.square(slope)) + 1e-30
+        squares = np.maximum(0.2 * squares * count, np.square(slope)) + 1e-300
         apart = math.sqrt(np.mean([vector @ vector for *_, vector in self._pairs(1)]))
         return np.asarray(_UNEVEN[bool(self._images.types.any())] * light * slope / (squares * apart))
 
