@@ -134,6 +134,7 @@ def white_micro_image(camera, name, wavelength, step=5e-4):
     return inner.reshape(pixels, each, pixels, each).mean((1, 3)) / spot.sum()
 
 
+@pytest.mark.slow
 def test_signed_rays_of_a_wall_against_its_moved_spot(name="sampled"):
     camera = small_camera(3, **HALF, mla_shape=SHAPES[name], mla_offset=(0.032, 0.032)).replace(resolution=(48, 48))
     found, expected = sky(camera, 64, "wave", wavelength=GREEN)[16:32, 16:32], white_micro_image(camera, name, GREEN)

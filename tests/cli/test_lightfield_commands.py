@@ -85,6 +85,7 @@ def test_depth_warns_when_it_knows_little(tmp_path, capfd):
     assert error.startswith("mitsuba-plenoptic: warning: depth: hardly any bin determines it")
 
 
+@pytest.mark.slow
 def test_depth_says_where_to_widen_the_search(tmp_path, capfd, monkeypatch):
     def told(far, planes):
         words = ["depth", str(tmp_path / "raw.exr"), "-o", str(tmp_path / "a.exr"), "--near", "195"]

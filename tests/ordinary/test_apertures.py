@@ -91,6 +91,7 @@ def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
     assert moved == pytest.approx(0.8 * camera.aperture_radius * camera.defocus(distance), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_wall_through_two_holes_is_the_sum_over_the_mask():
     """Rays through the closed middle bring the fringes, without which the wall differs by more than a fifth."""
     given, mask = cases.APERTURES["two holes"]

@@ -94,7 +94,7 @@ STARS = {
 }
 
 
-@pytest.mark.parametrize("name", STARS)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * ("focus" in n)) for n in STARS])
 def test_aberrated_and_defocused_stars_are_sums_over_the_pupil(name):
     wavefront, position = STARS[name]
     camera = ordinary(wavefront=wavefront)

@@ -39,7 +39,8 @@ def without_card():
     return through_card(None)
 
 
-@pytest.mark.parametrize("card", ["mask", pytest.param("thindielectric", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("card", ["mask", "thindielectric"])
 def test_a_transparent_card_changes_nothing(card, without_card):
     assert error(through_card(cases.TRANSPARENT[card]), without_card) <= 0.02
 
@@ -51,6 +52,7 @@ def test_the_edge_of_a_surface_seen_slantwise_lies_where_rays_see_it():
     assert (waves - rays).sum() / rays.max() == pytest.approx(0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_sky_does_not_shine_through_a_black_card():
     capture = cases.by_signed_rays(cases.card_before(10, 2.0, sky={"type": "constant"}), spp=16)
     columns = reconstruct(capture, 1000.0).image[4:-4].mean(axis=0)
@@ -72,6 +74,7 @@ def test_energy_is_that_of_rays(scene):
     assert cases.energy(*cases.captures(scene())) == pytest.approx(0.995, abs=0.015)
 
 
+@pytest.mark.slow
 def test_a_shiny_metal_lights_the_half_of_the_pupil_that_its_lamp_shines_to():
     """Rays, blurred by the diffraction of a square microlens."""
     metal = {"type": "roughconductor", "material": "none", "alpha": 0.005}

@@ -59,6 +59,7 @@ def test_xml_takes_a_file_a_name_or_text(tmp_path):
         assert camera.main_lens == lens and camera.focus_distance == pytest.approx(400)
 
 
+@pytest.mark.slow
 def test_light_ends_where_the_field_of_the_lens_ends():
     """Along a radius of a film wider than the field, of 18.3 mm; the pupil closes to a sliver there."""
     wide = {"focal_length": 50, "aperture_radius": 5, "focus_distance": 1000, "detector_width": 52}

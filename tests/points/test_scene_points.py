@@ -39,6 +39,7 @@ def by_signed_rays(scene, spp=256, **options):
     return np.mean([render_capture(scene, seed=seed, **options).image for seed in (0, 1)], axis=0)
 
 
+@pytest.mark.slow
 def test_surfaces_are_seen_as_by_signed_rays():
     scene = scene_of(camera(), card=facing(240.0, 2.0, **striped(0.4)))
     points, rays = by_points(scene, 64).image, by_signed_rays(scene)

@@ -36,6 +36,7 @@ def wall(camera):
     return scene_of(camera.to_sensor(), wall=facing(DISTANCE, size, emitter=light))
 
 
+@pytest.mark.slow
 def test_unequal_and_displaced_lenses_are_refocused_as_well_as_equal_ones():
     """By their correlation with Mitsuba's thin lens; their capture differs by a twelfth in its mean."""
     captures = [render_capture(wall(each), model="wave", wavelength=633, spp=64) for each in (STRAIGHT, FITTED)]

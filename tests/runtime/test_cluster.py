@@ -146,6 +146,7 @@ def test_a_scheduler_that_dies_is_told_in_one_line_and_the_checkpoint_stays(tmp_
     assert output.read_bytes() == resumed
 
 
+@pytest.mark.slow
 def test_dask_is_left_as_it_was(monkeypatch, address="tcp://127.0.0.1:1"):
     """A client that never connected is closed at once: within the start of the next it would wait for itself."""
     dask, package, clients = pytest.importorskip("dask"), pytest.importorskip("distributed"), []

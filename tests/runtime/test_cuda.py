@@ -216,6 +216,7 @@ def test_the_device_computes_the_same_and_only_what_is_finished_leaves_it(name, 
     assert device.scalars - before <= SCALARS
 
 
+@pytest.mark.slow
 def test_a_sum_goes_on_from_a_checkpoint(device, tmp_path):
     """Written from the device's memory, and taken back into it; threads of a device add in any order."""
     points, path = (CAMERA, POSITIONS, WEIGHTS), tmp_path / "raw.checkpoint"

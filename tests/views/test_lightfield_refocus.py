@@ -111,6 +111,7 @@ class TestShiftAndAdd:
 
 
 class TestDepth:
+    @pytest.mark.slow
     @pytest.mark.needs_extension("raw")
     @pytest.mark.filterwarnings("ignore:white")
     def test_behind_a_falling_white_of_lftoolbox(self, tmp_path, slope=0.6):
@@ -155,9 +156,8 @@ class TestDepth:
         np.testing.assert_allclose(found.disparity.values[known], expected, atol=1e-9)
 
     # Pixels a lens; lenses that the card moves from view to view; photons; size of its blobs in lenses; contrast.
-    @pytest.mark.parametrize(
-        "case", [(10, 0, 50, 1.6, 0.18), pytest.param((9, -0.5, 100, 0.8, 0.3), marks=pytest.mark.slow)]
-    )
+    @pytest.mark.slow
+    @pytest.mark.parametrize("case", [(10, 0, 50, 1.6, 0.18), (9, -0.5, 100, 0.8, 0.3)])
     def test_noise_does_not_move_the_depth(self, case):
         pixels, slope, photons, blob, contrast = case
         camera = noisy_camera(pixels)

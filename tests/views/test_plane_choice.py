@@ -163,10 +163,8 @@ def test_light_that_rises_evenly_is_not_sure():
     assert (found.confidence.values > 0.9).mean() < 0.02
 
 
-@pytest.mark.parametrize(
-    ("distance", "turned"),
-    [(366, {}), pytest.param(352, {"mla_rotation": 7.0, "mla_offset": (0.03, -0.02)}, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("distance", "turned"), [(366, {}), (352, {"mla_rotation": 7.0, "mla_offset": (0.03, -0.02)})])
 def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance, turned):
     """Its lenses are sharp at 364, 368 and 370 mm: between these and in front of them."""
     capture = wall(distance, MULTI_FOCUS.replace(**turned))
@@ -176,6 +174,7 @@ def test_depth_of_a_hexagonal_array_of_three_focal_lengths(distance, turned):
     assert np.median(error) < 0.005 and np.percentile(error, 90) < 0.01
 
 
+@pytest.mark.slow
 def test_lenses_out_of_focus_do_not_move_depths(distance=221):
     capture = wall(distance, BLURRED)
     lf = mp.decode(capture)
@@ -187,7 +186,8 @@ def test_lenses_out_of_focus_do_not_move_depths(distance=221):
 # brightness of the corners.
 @pytest.mark.filterwarnings("ignore:white")
 @pytest.mark.parametrize(
-    "case", [(3, 3, 1.5, 0.2), (-3, -15.3, 0.8, 1), pytest.param((-3, -6, 0.4, 1), marks=pytest.mark.slow)]
+    "case",
+    [(3, 3, 1.5, 0.2), *(pytest.param((-3, *case, 1), marks=pytest.mark.slow) for case in ((-15.3, 0.8), (-6, 0.4)))],
 )
 def test_light_of_the_next_lens_and_a_falling_white_do_not_move_depths(case):
     focused, image, coarseness, corner = case
@@ -208,14 +208,13 @@ RESPONSE = (0.0, 1.0, 5.0, 0.6, 12.0, 0.2)
 
 
 # Where lenses are sharp before the array, and where the card's image is, in detector distances and in mm.
+@pytest.mark.slow
 @pytest.mark.parametrize("case", [
     (None, -5, {"mla_tilt": (1.0, -1.0), "pixel_response": RESPONSE}),
-    *(pytest.param(case, marks=pytest.mark.slow) for case in (
-        (-3, -6, {"mla_tilt": (-1.0, 0.4), "pixel_response": RESPONSE}),
-        (None, 3, {"mla_tilt": (0.0, 1.0), "mla_medium": 1.5, "detector_distance": 0.75, "mla_focal_length": 0.75}),
-        (3, 3, {"mla_tilt": (1.0, 0.3), "mla_lattice": "hexagonal"}),
-        (3, 3, {"mla_tilt": (1.0, 1.0), "crop_offset": (15, 10), "crop_size": (180, 180)}),
-    )),
+    (-3, -6, {"mla_tilt": (-1.0, 0.4), "pixel_response": RESPONSE}),
+    (None, 3, {"mla_tilt": (0.0, 1.0), "mla_medium": 1.5, "detector_distance": 0.75, "mla_focal_length": 0.75}),
+    (3, 3, {"mla_tilt": (1.0, 0.3), "mla_lattice": "hexagonal"}),
+    (3, 3, {"mla_tilt": (1.0, 1.0), "crop_offset": (15, 10), "crop_size": (180, 180)}),
 ])  # fmt: skip
 def test_tilted_arrays_and_responses_do_not_move_depths(case):
     focused, image, changes = case
@@ -230,6 +229,7 @@ def test_tilted_arrays_and_responses_do_not_move_depths(case):
         assert abs(np.median(error[region])) < 0.003 and found.confidence.values[region].mean() > 0.9
 
 
+@pytest.mark.slow
 def test_what_moves_by_hundredths_of_a_lens_is_not_sure():
     """A hundredth of the distance moves views of this camera at the pupil's rim by 0.009 of a lens."""
     camera = of_square_lenses(10, 14).replace(

@@ -12,6 +12,7 @@ from tools.bench.cases.arrays import GREEN, centroids, propagated
 POINT = np.array([0.03, -0.02, 114.0])
 
 
+@pytest.mark.slow
 def test_full_fields_of_irregular_arrays_against_explicit_sums():
     camera = small_camera(2, **HALF, mla_jitter=(0.002, 0.03), mla_seed=3, mla_cra=(0, 0, 0.04, 0.5, 0.1, 0.8))
 

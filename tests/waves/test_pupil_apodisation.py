@@ -102,6 +102,7 @@ def cubic(waves):
     return mp.PhaseScreen(np.tile(waves * (PLACES / 5) ** 3, (len(PLACES), 1)), 10.4)
 
 
+@pytest.mark.slow
 def test_a_screen_of_zernike_terms_equals_the_terms():
     of_terms = mp.PhaseScreen(Wavefront(COMA, 5.0).path(*np.meshgrid(PLACES, PLACES)) / 633e-6, 10.4)
     screen, terms = capture_of_lamp(phase_screen=of_terms).image, capture_of_lamp(wavefront=COMA).image

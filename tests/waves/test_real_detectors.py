@@ -50,13 +50,6 @@ def test_blurs_below_a_pixel_are_gaussian_and_take_no_light_away():
     assert (narrow * smooth).sum() == pytest.approx(1 + np.exp(-0.5 * (0.4 * 2 * np.pi / 16) ** 2), abs=1e-3)
 
 
-def test_the_adjoint_is_the_transpose():
-    stray = np.linspace(0.01, 0.1, 21 * 18).reshape(21, 18)
-    operator = DetectorOperator(blur=1.5, crosstalk=0.04, stray_light=stray, stray_width=2.5)
-    x, y = np.random.default_rng(1).random((2, 21, 18, 3))
-    assert np.sum(operator.forward(x) * y) == pytest.approx(np.sum(x * operator.adjoint(y)), rel=1e-12)
-
-
 def test_stray_light_is_a_table_of_the_whole_detector(tmp_path):
     """Of which a crop has its place, and its own mean light; beside blur and crosstalk."""
     np.save(tmp_path / "stray.npy", TABLE)

@@ -164,13 +164,13 @@ def test_against_differences_of_held_rays(node, name):
     assert found == pytest.approx(expected, rel=0.05 if moves else 0.015, abs=1.0 if name == "detector_width" else None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("array", "changes"),
     [
-        pytest.param(
+        (
             {"mla_lattice": "hexagonal", "mla_focal_length": (0.48, 0.512, 0.55)},
             {"mla_focal_length": np.array([0.1, -0.2, 0.3])},
-            marks=pytest.mark.slow,
         ),
         ({}, {"focal_length": np.ones(1), "mla_distance": np.ones(1), "mla_offset": np.array([0.01, -0.02])}),
     ],

@@ -85,14 +85,6 @@ def test_tables_are_around_the_axis_and_rows_rise():
     assert white_image(UNEQUAL) == pytest.approx(white_image(PLAIN) * np.kron(TABLE, np.ones((16, 16))), abs=1e-6)
 
 
-def test_waves_have_the_same_light_behind_each_lens():
-    small = PLAIN.replace(resolution=(32, 32), detector_width=0.128)
-    plain, found = (sky(small.replace(mla_transmissions=table), 16, "wave") for table in (None, TABLE[1:3, 1:3]))
-    # A twentieth of the light is diffracted into other lenses' pixels.
-    light = found.reshape(2, 16, 2, 16).sum((1, 3)) / plain.reshape(2, 16, 2, 16).sum((1, 3))
-    assert light == pytest.approx(TABLE[1:3, 1:3], abs=0.02)
-
-
 def test_rows_of_hexagonal_lattices_are_straight():
     """A column of the table is nearly upright: lens (i, j) has the column i + floor(j / 2)."""
     camera = mp.PlenopticCamera(mla_lattice="hexagonal")

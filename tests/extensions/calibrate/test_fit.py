@@ -86,6 +86,7 @@ def test_deviations_are_true():
     assert mean.mean() == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.slow
 def test_gross_errors_are_named_and_change_nothing(table, centres, found):
     generator = np.random.default_rng(3)
     columns, rows = {name: values.copy() for name, values in table.columns.items()}, len(table["k"])
@@ -128,6 +129,7 @@ def bent_frames(table, size):
     return cal.Table("corners.csv", columns)
 
 
+@pytest.mark.slow
 def test_what_the_model_misses_is_in_the_deviations(table, centres, found):
     assert not found.by_frames
     # As large as the noise.
@@ -224,6 +226,7 @@ def some(table, part):
     return table.keep(np.random.default_rng(0).random(len(table["k"])) < part)
 
 
+@pytest.mark.slow
 def test_corners_that_leave_predictions_open_are_refused():
     """As frames that disagree about the camera by pixels do; by less, the stated deviation is that from the truth."""
     table = some(cases.corners(0.1)[0], 0.15)

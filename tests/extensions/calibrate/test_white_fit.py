@@ -64,6 +64,7 @@ def test_numbers_of_a_drawn_white_are_found():
     assert found.judgement.residual < 0.011
 
 
+@pytest.mark.slow
 def test_an_iris_and_a_map_of_the_pupil_are_found():
     """Seven dents of the outline, and light that falls along a diagonal, which stray light alike everywhere is not."""
     iris = Vignetting(0.95, transmission=[0.0, 0.3, 0.0], harmonics=[*[0.0] * 8, 0.03, -0.02])
@@ -76,6 +77,7 @@ def test_an_iris_and_a_map_of_the_pupil_are_found():
     assert camera.replace(vignetting=found.to_plain()).vignetting == found
 
 
+@pytest.mark.slow
 def test_a_pupil_that_narrows_from_lens_to_lens_is_found():
     """Within a zone of eight lenses the rim moves by a pixel, which is more than a first order tells."""
     narrowing = Vignetting([1.0, 0, 0, -0.2, 0, -0.2], 0.8)
@@ -106,6 +108,7 @@ def test_waves_are_told_from_rays():
     assert rays.mean_image > 2 * waves.mean_image
 
 
+@pytest.mark.slow
 def test_lenses_are_whole_by_their_place():
     """A cell of 15.4 x 15.4 pixels may hold 15 x 15 of them, 95 % of it; all have their own brightness."""
     bright = LensTransmissions(1 + 0.05 * np.random.default_rng(1).standard_normal((61, 61)), first=(-30, -30))

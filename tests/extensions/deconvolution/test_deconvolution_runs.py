@@ -1,7 +1,6 @@
 """Deconvolution's longer runs: checkpoints, workers, volumes whose kernels lie on disk, and total variation."""
 
 import json
-import time
 
 import numpy as np
 import OpenEXR
@@ -44,24 +43,6 @@ def test_variation_is_that_of_an_even_slope():
     found = variation(values.astype(np.float32), inside).reshape(12, 17)
     assert np.abs(found).max() <= 2 + np.sqrt(2) < 1 / MOST_VARIATION
     assert (found * direction).sum() == pytest.approx((total(1e-5) - total(-1e-5)) / 2e-5, rel=1e-2)
-
-
-def test_the_price_of_a_response_and_its_progress_follow_its_time_in_and_out_of_the_range():
-    even, options = np.ones(TINY.shape, np.float32), {"camera": TINY, "method": "incoherent", "wavelength": WAVELENGTH}
-    mp.reconstruct(even, 230, **options)
-    over = []
-    for distance in (258, 200):
-        start, reports = time.process_time(), []
-
-        def told(done, total, start=start, reports=reports):
-            reports.append((time.process_time() - start, done / total))
-
-        mp.reconstruct(even, distance, progress=told, **options)
-        seconds = time.process_time() - start
-        over.append(fourier.response_seconds(TINY, distance, WAVELENGTH, 1.5) / seconds)
-    assert 0.5 < over[0] / over[1] < 2 and 0.25 < over[1] < 1.2
-    assert 0.2 < max(done for at, done in reports if at < seconds / 2) < 0.7
-    assert max(done for at, done in reports if at < seconds / 5) > 0.05
 
 
 def random_light(camera=TINY, channels=(3,), wavelengths=(633.0, 500.0, 450.0)):
@@ -114,6 +95,7 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, monkeypatch, nam
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_channels_of_one_light_share_a_response(monkeypatch):
     made = []
 

@@ -143,6 +143,7 @@ def test_chi_square_of_a_right_model_is_one(recorded):
     assert found[0].chi_square_deviation < np.sqrt(3.5 / (lit > 1).sum())
 
 
+@pytest.mark.slow
 def test_deviations_are_not_those_of_a_kink(recorded):
     """Without noise the deviation is the true one; beside a kink, slopes of the captures state a fifth of it."""
     true, points, image, weights = recorded
@@ -283,12 +284,13 @@ def kernels():
     dr.set_flag(dr.JitFlag.KernelHistory, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lattice", "name", "values"),
     [
         ("hexagonal", "mla_distance", (119.9, 120.07)),
-        pytest.param("square", "wavefront", ((0, 0.1, 0.2), (0, 0.2, 0.1)), marks=pytest.mark.slow),
-        pytest.param("square", "mla_offset", ((0.001, 0.002), (0.003, 0.001)), marks=pytest.mark.slow),
+        ("square", "wavefront", ((0, 0.1, 0.2), (0, 0.2, 0.1))),
+        ("square", "mla_offset", ((0.001, 0.002), (0.003, 0.001))),
     ],
 )
 def test_a_camera_that_changes_compiles_nothing_after_the_first_step(lattice, name, values, kernels):

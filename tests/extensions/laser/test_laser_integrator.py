@@ -182,6 +182,7 @@ def test_points_that_the_pupil_sees_in_part_are_refused():
         lit(scene_of(**posed(40, wall=wall(), plate=plate, laser={**LASER, "position": [0, 0, 40]})))
 
 
+@pytest.mark.slow
 def test_modes_of_a_source():
     for source in ({"source_diameter": 1.0, "source_distance": 60.0}, {"bandwidth": 2.0, "roughness": 0.05}):
         count = round(laser.mode_count(CAMERA, wavelength=WAVELENGTH, distance=120, **source))
@@ -190,6 +191,7 @@ def test_modes_of_a_source():
         assert count > 1 and np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_stopped_capture_resumes_with_the_same_bits(tmp_path):
     def compute(existing="refuse", seed=2):
         with Checkpoint(tmp_path / "laser.checkpoint", existing) as keeper:

@@ -79,6 +79,7 @@ def test_shaped_lenses_against_the_fields_of_periodic_samples(name):
         assert light[:, middle, middle + along] == pytest.approx(pixels, rel=0.004, abs=0.002 * pitch**2)
 
 
+@pytest.mark.slow
 def test_zones_that_mirror_each_other_have_mirrored_tables(monkeypatch):
     monkeypatch.setattr(photodiodes, "_STEPS", (3.0, 20.0))
     monkeypatch.setattr(response_tables, "_FAR", (15, 20))
@@ -106,6 +107,7 @@ def rays_of_a_blurred_wall(lenses, spp):
     return plan, work, grid, work._traced(*grid.within(work._tables.margin).lenses(), 0)
 
 
+@pytest.mark.slow
 def test_far_sums_have_the_mean_of_all_rays():
     """Lenses of the far window are drawn, and here the rays of all of them are added."""
     plan, work, grid, rays = rays_of_a_blurred_wall(2, 16)
@@ -192,6 +194,7 @@ def test_lenses_that_a_table_aligns_to_chief_rays_are_those_of_a_smaller_pitch()
     assert len(Zones.of(aligned, 2)) == len(Zones.of(smaller, 2)) > len(Zones.of(camera, 2))
 
 
+@pytest.mark.slow
 def test_gaps_between_lenses_leave_the_brightness_of_a_wall():
     wall = facing(200.0, 300.0, **radiating())
     sensors = [camera_of(4.0, 8).replace(mla_fill=fill).to_sensor() for fill in (1.0, 0.7)]

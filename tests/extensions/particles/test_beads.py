@@ -103,7 +103,8 @@ def test_densities_and_elongation_are_those_of_the_microscope():
     assert pt.elongation(CAMERA, 0.01) == pytest.approx((1 / steps**2 - 1).mean() ** -0.5, rel=1e-3)
 
 
-@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("model", ["ray", "wave"])
 def test_positions_of_beads_are_found(model):
     """In a capture with noise: by SIRT within 0.25 voxels, 0.75 along the axis, and by least squares within 0.05."""
     medium = 1.35

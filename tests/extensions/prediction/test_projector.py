@@ -41,15 +41,18 @@ def part_of(model):
 
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
-PROJECTOR = SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, 0.012, -0.03)])
+
+
+@pytest.fixture(scope="module")
+def projector():
+    return SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, 0.012, -0.03)])
 
 
 HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
-@pytest.mark.parametrize(
-    ("camera", "distance"), [pytest.param(CAMERA, 0.012, marks=pytest.mark.slow), (HEXAGONAL, 380.0)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("camera", "distance"), [(CAMERA, 0.012), (HEXAGONAL, 380.0)])
 def test_elements_are_recorded_as_their_points_are(camera, distance):
     """Fine points of one element of a lens near the middle, through the whole turned camera."""
     part = part_of(model_of(camera))
@@ -97,13 +100,13 @@ def test_each_lens_is_white_by_its_pupil():
     np.testing.assert_allclose(np.bincount(part.lens_of, part.white), area, rtol=0.03)
 
 
-def test_the_adjoint_is_the_transpose():
+def test_the_adjoint_is_the_transpose(projector):
     generator = np.random.default_rng(0)
-    volume, pixels = (generator.random(n, np.float32) for n in (PROJECTOR.source_shape, PROJECTOR.image_shape))
-    back = np.vdot(volume, PROJECTOR.adjoint(pixels))
-    assert np.vdot(PROJECTOR.forward(volume), pixels) == pytest.approx(back, rel=1e-5)
-    assert (PROJECTOR.forward(volume)[0] == PROJECTOR.direct(volume)).all()
-    assert (PROJECTOR.join(PROJECTOR.split(volume)) == volume).all()
+    volume, pixels = (generator.random(n, np.float32) for n in (projector.source_shape, projector.image_shape))
+    back = np.vdot(volume, projector.adjoint(pixels))
+    assert np.vdot(projector.forward(volume), pixels) == pytest.approx(back, rel=1e-5)
+    assert (projector.forward(volume)[0] == projector.direct(volume)).all()
+    assert (projector.join(projector.split(volume)) == volume).all()
 
 
 def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
@@ -121,13 +124,13 @@ def test_rays_of_a_point_spread_over_lenses_as_the_cone_does():
     assert found == pytest.approx((20 * depth) ** 2 * tangents + 2 * 2 * 0.125**2 / 12, rel=0.02)
 
 
-def test_withheld_pixels_of_a_simulated_volume_are_predicted():
+def test_withheld_pixels_of_a_simulated_volume_are_predicted(projector):
     """A volume with structure, noise of photons: the residual of pixels that the fit has not seen is that of noise."""
     generator = np.random.default_rng(1)
-    expected = PROJECTOR.direct((generator.random(PROJECTOR.source_shape) ** 8).astype(np.float32))
+    expected = projector.direct((generator.random(projector.source_shape) ** 8).astype(np.float32))
     electrons = generator.poisson(expected * (400 / expected.mean())).astype(np.float32)
     withheld = Withheld.drawn(PART.pixels, np.ones(len(PART.pixel), bool), 0)
-    fit = fit_scene(PROJECTOR, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60)
+    fit = fit_scene(projector, electrons, withheld.used, dark_variance=1.0, strength=1e-3, iterations=60)
     over_noise = misfit(electrons, fit.predicted, 1.0)
     tested = withheld.tested["pixels"]
     assert fit.stray < 0.02

@@ -144,6 +144,7 @@ def require_depths(found, *places):
         assert np.median(found["disparity"]["Y"][where]) == pytest.approx(-disparity, abs=0.02)
 
 
+@pytest.mark.slow
 def test_depth_is_sought_where_a_folder_says_that_the_scene_is(tmp_path, run, capfd):
     """Disparities of 2.4 and -2.2 are beyond those that are sought where nothing is known of the scene."""
     parameters, disparities = PARAMETERS.replace("40.0", "120"), "[meta]\ndisp_min = -2.2\ndisp_max = 2.4\n"

@@ -129,6 +129,7 @@ def test_a_matrix_is_of_all_points_by_their_weights():
     np.testing.assert_allclose(matrix.reference, image / image.sum(), atol=1e-4 * matrix.reference.max())
 
 
+@pytest.mark.slow
 def test_a_strong_wavefront_is_found_within_its_deviations(rng):
     camera, terms = telescope(), np.r_[0.0, 0.3, -0.2, rng.normal(size=3) * 0.2]
     image = captured(camera, [STAR], 20000, tuple(terms))
@@ -152,6 +153,7 @@ def test_a_star_beside_the_detector_is_warned_of():
     assert abs(found.camera.wavefront[1]) == pytest.approx(tilt, abs=0.02)
 
 
+@pytest.mark.slow
 def test_fits_of_two_stars_keep_the_terms_that_are_not_fitted():
     known, terms = (0.0, 0.1, 0.0, 0.2, 0.0, 0.0, 0.15), (0.0, 0.15, -0.1, 0.25, 0.0, 0.0, 0.15)
     stars, weights = [STAR, (1e5, 0.0, 1e9)], [1.0, 4.0]
