@@ -89,6 +89,7 @@ def test_a_capture_goes_on_where_it_was_stopped(tmp_path, clean, count=4):
     assert not path.exists()
 
 
+@pytest.mark.slow
 def test_finished_sums_are_remembered(tmp_path):
     """Stopped in the third of three sums, one a wavelength."""
     mi.set_variant("llvm_ad_rgb")

@@ -45,6 +45,7 @@ def test_a_transparent_card_changes_nothing(card, without_card):
     assert error(through_card(cases.TRANSPARENT[card]), without_card) <= 0.02
 
 
+@pytest.mark.slow
 def test_the_edge_of_a_surface_seen_slantwise_lies_where_rays_see_it():
     """At 5 degrees one side of the pupil gets 1.5 times the light of the other, which would move blurred edges."""
     found = cases.captures(cases.slanted("transparent mask"), spp=16)

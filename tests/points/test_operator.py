@@ -88,6 +88,7 @@ def test_weights_that_cancel_leave_nothing():
     assert error(operator.forward([1.0, -1.0, 2.0]), operator.forward([0.0, 0.0, 2.0])) < 1e-6
 
 
+@pytest.mark.slow
 def test_scipy_multiplies_spectra():
     """And the adjoint is that of the sum, of interpolated spectra, shared spreads and weighted pupils, too."""
     rng = np.random.default_rng(2)

@@ -61,6 +61,7 @@ def test_patch_of_extreme_cameras_against_full_field(camera, g):
     assert error(patch, full) < 0.005
 
 
+@pytest.mark.slow
 def test_gaps_between_microlenses_at_the_default_accuracy():
     camera = small_camera(4, mla_fill=0.5, **HALF)
     points = in_every_lens(camera, 1, 115.0, per_lens=2) + np.array([0.06, -0.05, 0.0])

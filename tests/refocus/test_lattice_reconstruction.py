@@ -88,14 +88,6 @@ MATCHED = PlenopticCamera.matched(
 )  # fmt: skip
 
 
-@pytest.mark.filterwarnings("ignore:distance = 500")
-def test_rows_of_a_hexagonal_array_do_not_show_where_images_of_pixels_are_wide():
-    """Rows of lenses and images of pixels, of 2.3 lenses here, lie in almost even steps behind each other."""
-    result = reconstruct(white_image(MATCHED), 500.0, camera=MATCHED, method="coherent", wavelength=550.0)
-    rows = result.image.mean(axis=1)
-    np.testing.assert_allclose(rows, rows.mean(), rtol=0.05)
-
-
 @pytest.mark.slow
 def test_white_of_hexagonal_lenses_has_no_rows():
     """A white wall refocused lens by lens is even, with rows of lenses at any height between the rows of pixels."""

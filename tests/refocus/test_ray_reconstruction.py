@@ -95,7 +95,7 @@ def test_walls_are_right_to_the_border(lattice, distance):
     assert white.bin_size == pytest.approx(0.064 / 120 * (1 if math.isinf(distance) else distance))
 
 
-@pytest.mark.parametrize("wavelength", [None, (633.0, 550.0, 550.0)])
+@pytest.mark.parametrize("wavelength", [None, pytest.param((633.0, 550.0, 550.0), marks=pytest.mark.slow)])
 def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
     """Samples per lens fall with the distance from the plane in focus, in diopters, over that of the range's end."""
     camera = PlenopticCamera(detector_width=0.128, resolution=(32, 32))

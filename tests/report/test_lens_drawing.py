@@ -95,6 +95,7 @@ def test_the_bar_of_a_drawing_is_as_long_as_it_says():
     assert bar.width / length == pytest.approx(pixels / abs(glass - array))
 
 
+@pytest.mark.slow
 def test_figures_see_pupils_that_grow_off_the_axis():
     edge, dark = field_figures(main_lens(PlenopticCamera.preset("phone")), [1.96, 4.0], 1000, frequencies=[10])
     assert 1.35 < edge.light < 1.5 and abs(edge.distortion) < 0.01

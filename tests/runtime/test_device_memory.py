@@ -119,9 +119,7 @@ def launches(device, work):
 
 @pytest.mark.filterwarnings("ignore::mitsuba_plenoptic.PhysicsWarning")  # the small patches
 @pytest.mark.parametrize("camera", [NARROW, pytest.param(TURNED, marks=pytest.mark.slow)], ids=["square", "turned"])
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=[pytest.mark.slow] * (n in ("derivative", "gradient"))) for n in WORKS]
-)
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "forward")) for n in WORKS])
 def test_more_points_of_a_batch_start_no_more_kernels(name, camera, request, monkeypatch):
     # The small patches that many points have, also for derivatives, in one chain of fields.
     monkeypatch.setattr(plan, "derivative_band_for", lambda accuracy, count: band_for(accuracy, 2**20))

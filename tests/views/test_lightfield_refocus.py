@@ -206,6 +206,7 @@ class TestDepth:
         with pytest.raises(mp.InputError, match="nothing in common"):
             views.depth_map(lf, 239, 241)
 
+    @pytest.mark.slow
     def test_stripes_that_agree_at_several_distances_are_not_sure(self, blank, period=1.3):
         # Lenses average over their width.
         height = 0.45 * np.sinc(1 / period)

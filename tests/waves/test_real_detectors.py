@@ -130,6 +130,7 @@ def test_gradients_of_renders_by_the_width_hold_the_lengths_of_the_detector(inte
     assert gradient == pytest.approx(np.vdot(right, other), rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.needs_extension("deconvolution")
 def test_reconstructions_know_the_detector():
     """They show the lamp as the camera without it does; a blur by 1.5 of 8 pixels a lens moves light off lenses."""

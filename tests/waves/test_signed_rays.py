@@ -51,6 +51,7 @@ def test_micro_images_are_darker_as_their_lenses_spread_light(parameters):
     assert LensKinds(camera).enlargement(focal_length) ** -2 == pytest.approx(brightness, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_enlarged_micro_images_keep_their_light(monkeypatch):
     focal = {"mla_focal_length": 0.256, "detector_distance": 0.256}
     scene = scene_of(sensor(6, 32, **focal), wall=wall())
@@ -82,16 +83,14 @@ def by_the_even_array():
     return smoothed_captures()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "parameters",
     [
-        pytest.param({"mla_jitter": (0.003, 0.0), "mla_seed": 3}, marks=pytest.mark.slow),
+        {"mla_jitter": (0.003, 0.0), "mla_seed": 3},
         {"pixel_response": (0.0, 1.0, 3.0, 0.6)},
-        pytest.param(
-            {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
-             "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
-            marks=pytest.mark.slow,
-        ),
+        {"mla_focal_length": (0.583, 0.524, 0.561), "mla_lattice": "hexagonal", "mla_pitch": 0.12744,
+         "detector_distance": 0.3371, "focal_length": 49.885, "aperture_radius": 6.2356, "mla_distance": 56.86},
     ],
     ids=["displaced lenses", "angular response", "far out of focus"],
 )  # fmt: skip

@@ -80,6 +80,7 @@ def write_table(path, columns):
     np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
 
 
+@pytest.mark.slow
 def test_a_calibration_takes_them_and_keeps_them(tmp_path, radius):
     whole = {"resolution": (2000, 1500), "crop_size": (2000, 1500), "crop_offset": (0, 0), "detector_width": 11.0}
     start = cases.CAMERA.replace(**whole, mla_focal_length=(0.5,) * 3)

@@ -106,6 +106,7 @@ def test_gross_errors_are_named_and_change_nothing(table, centres, found):
     assert again.error_without_outliers == pytest.approx(NOISE * 2**0.5, rel=0.05)
 
 
+@pytest.mark.slow
 def test_wrong_centres_are_left_out(table, centres, found):
     bad = np.arange(7, len(centres["k"]), 50)
     columns = {**centres.columns, "u": centres["u"].copy(), "doubtful": np.zeros(len(centres["k"]), dtype=int)}
@@ -237,6 +238,7 @@ def test_corners_that_leave_predictions_open_are_refused():
         calibrate(bent_frames(table, 4.0), cases.BOARD, START)
 
 
+@pytest.mark.slow
 def test_the_command_names_what_corners_leave_open(tmp_path, run):
     table = cases.corners(0.5)[0]
     few = some(table.keep(table["frame"] < 13), 0.15)
@@ -251,6 +253,7 @@ def test_the_command_names_what_corners_leave_open(tmp_path, run):
     assert record["open_direction"]["mla_distance"] > 1 and 0.1 < record["prediction_deviation_px"] < 1
 
 
+@pytest.mark.slow
 def test_corners_alone_tell_where_micro_images_are(table, found):
     """Corners are seen through the pupil, so that micro-images lie about them."""
     alone = calibrate(table, cases.BOARD, START)

@@ -72,6 +72,7 @@ def test_centres_do_not_follow_the_fall_off(name):
     np.testing.assert_allclose([math.hypot(*along), math.hypot(*across)], pitches, rtol=1.5e-5)
 
 
+@pytest.mark.slow
 def test_centres_that_dust_displaces_are_doubtful(tmp_path, capsys):
     image, true, _ = drawn(0, (14.0, 13.4, 13.7))
     image = np.random.default_rng(0).poisson(PHOTONS * image) / PHOTONS

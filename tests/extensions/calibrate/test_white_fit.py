@@ -173,6 +173,7 @@ def test_wrong_numbers_are_refused_before_lenses_are_searched(monkeypatch):
     refuses("fit by rays", fitted, mla_aperture="circle", wavelength=550.0)
 
 
+@pytest.mark.slow
 def test_eight_bits_mirrored_pictures_and_dust_are_fitted():
     light = (WHITE - DARK).clip(0)
     light[[[40], [60], [80]], 60:72] *= 0.3

@@ -12,7 +12,7 @@ from stopped_runs import StoppedError
 from test_fourier_microscope import SMALL as FOURIER
 
 import mitsuba_plenoptic as mp
-from mitsuba_plenoptic.extensions.deconvolution import deconvolved, fourier
+from mitsuba_plenoptic.extensions.deconvolution import fourier
 from mitsuba_plenoptic.extensions.deconvolution import response as response_module
 from mitsuba_plenoptic.extensions.deconvolution.options import MOST_VARIATION
 from mitsuba_plenoptic.extensions.deconvolution.response import Response
@@ -93,21 +93,6 @@ def test_a_deconvolution_goes_on_where_it_was_stopped(tmp_path, monkeypatch, nam
         np.testing.assert_array_equal(ours.image, theirs.image)
         assert ours.facts == theirs.facts
     assert not path.exists()
-
-
-@pytest.mark.slow
-def test_channels_of_one_light_share_a_response(monkeypatch):
-    made = []
-
-    def response_of(*arguments, **options):
-        made.append((arguments[1], options["wavelength"]))
-        return Response(*arguments, **options)
-
-    monkeypatch.setattr(deconvolved, "response_of", lambda _: response_of)
-    capture = random_light(SMALL.replace(resolution=(48, 48)), wavelengths=(633.0, 500.0, 500.0))
-    options = {"method": "deconvolved", "iterations": 1}
-    mp.reconstruct(capture, [253.0, 235.0], **options)
-    assert made == [([253.0], 633.0), ([235.0], 633.0), ([253.0], 500.0), ([235.0], 500.0)]
 
 
 def test_kernels_on_disk_are_those_in_memory(monkeypatch):

@@ -40,6 +40,7 @@ def test_gradients_against_differences(figure, name, step, limit):
     assert np.vdot(gradient[name][: np.size(step)], step) == pytest.approx(change / 2, rel=limit)
 
 
+@pytest.mark.slow
 def test_deviation_of_depth_is_that_of_differences_refined():
     """Plain differences by X, Y and g of captures, of two steps each, from which Richardson's rule takes the error."""
     g, background = 240.0, 2.0

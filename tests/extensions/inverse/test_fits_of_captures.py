@@ -127,6 +127,7 @@ def quickly(camera, view, names="mla_pitch", **options):
     return fit(start, view, names, wavelength=WAVELENGTH, model="ray", **({"photons": PHOTONS} | options))
 
 
+@pytest.mark.slow
 def test_chi_square_of_a_right_model_is_one(recorded):
     """Counts after Poisson: over noises its mean is 1, and its spread as stated, with few photons."""
     true, points, image, weights = recorded
@@ -212,6 +213,7 @@ def test_a_number_at_a_bound_has_a_one_sided_deviation(recorded):
     assert squares[1] - squares[0] == pytest.approx(1, abs=0.15)
 
 
+@pytest.mark.slow
 def test_from_afar_no_number_leaves_its_bounds(recorded):
     true, points, image, weights = recorded
     start = true.replace(mla_pitch=0.068)

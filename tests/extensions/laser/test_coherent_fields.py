@@ -70,6 +70,7 @@ def test_pupil_against_direct_sums(camera, points, model):
     assert error_on_pupil(points, amplitudes(len(points)), camera.replace(lens_model=model)) < 2e-5
 
 
+@pytest.mark.slow
 def test_a_point_far_from_thousands_of_others(monkeypatch):
     # The products of a layer are found from a part of its points, to which this one does not belong.
     monkeypatch.setattr(pupil_sums, "_BASIS", 200)

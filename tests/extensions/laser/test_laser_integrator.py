@@ -108,6 +108,7 @@ def test_points_whose_light_a_wavefront_brings_to_the_detector_are_found():
     assert (blurred - sharp) / 4 == pytest.approx(blur, rel=0.1)
 
 
+@pytest.mark.slow
 def test_small_things_far_out_of_focus_beside_the_field_are_found(x=0.9):
     """Only its blur, of a radius of 1.25 mm, reaches the detector: it is imaged 1.35 mm from the axis."""
     towards = mi.ScalarTransform4f().look_at(origin=[0, 0, 20], target=[x, 0.1, 40], up=[0, 1, 0])

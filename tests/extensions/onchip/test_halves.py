@@ -231,6 +231,7 @@ def test_lenses_aligned_by_snells_law_halve_the_light():
     assert light == pytest.approx(1, abs=0.01)
 
 
+@pytest.mark.slow
 def test_halves_by_waves_are_sums_of_plane_waves():
     camera, field = window(30)
     _, light = left_of_even(camera, "wave", 64)

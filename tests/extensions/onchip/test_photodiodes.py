@@ -47,6 +47,7 @@ def test_shifts_of_more_than_a_pitch():
     assert camera.pixel_coordinates(0).min() > 2 and np.abs(image - same).max() < 0.02 * same.max()
 
 
+@pytest.mark.slow
 def test_waves_shift_lenses_as_rays_do():
     """Mean columns of micro-images of large lenses, which diffraction widens little, aside of those without a shift."""
     camera = PlenopticCamera(resolution=(512, 512), detector_width=8.192, crop_offset=(480, 248), crop_size=(16, 16))

@@ -20,6 +20,7 @@ from mitsuba_plenoptic.rays.tracer import Passage, Walk
 CAMERA = mp.PlenopticCamera.preset("lfm_water").replace(detector_width=0.875, resolution=(105, 105))
 
 
+@pytest.mark.slow
 def test_points_by_rays_are_those_of_the_sensor():
     """A small lamp out of focus, whose light falls with the cosine, as points that Mitsuba's rays find."""
     place, half = np.array([0.003, -0.002, 0.012]), 0.003

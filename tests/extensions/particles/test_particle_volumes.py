@@ -85,6 +85,7 @@ def test_steps_stop_and_go_on(tmp_path):
     assert (again.values == whole.values).all()
 
 
+@pytest.mark.slow
 def test_voxels_have_point_spreads_between_those_of_regular_points():
     grid = pt.VoxelGrid((-0.09, -0.07, 235), (0.11, 0.13, 237), (1, 2, 2))
     light, errors = np.array([1.0, 0.5, 0.0, 2.0]), []

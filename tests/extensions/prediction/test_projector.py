@@ -45,7 +45,7 @@ PART = part_of(MODEL)
 
 @pytest.fixture(scope="module")
 def projector():
-    return SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, 0.012, -0.03)])
+    return SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, -0.03)])
 
 
 HEXAGONAL = THIN.replace(mla_lattice="hexagonal")

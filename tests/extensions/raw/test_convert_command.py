@@ -163,6 +163,7 @@ def test_depth_is_sought_where_a_folder_says_that_the_scene_is(tmp_path, run, ca
         assert words in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_depth_of_an_array_of_cameras_is_metric(array_of_cameras, tmp_path, run, complaint):
     run("depth", array_of_cameras, "-o", tmp_path / "depth.exr", "--planes", 65)
     places = (np.s_[20:28, 24:40], 1, 0.04), (np.s_[4:12, 4:60], -1, 0.04)
