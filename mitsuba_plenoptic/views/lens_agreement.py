@@ -55,8 +55,9 @@ _MOVED = 0.6
 _BEYOND = 1.2
 
 
-# Errors of brightness of lenses alike, and of several focal lengths, as fractions, and bins that share them:
-# standard deviation of a window. Measured on slopes of light: rims of blurred lenses are some thousandths off.
+# Errors of the light of lenses alike, and of several focal lengths, as fractions, and bins that share them: standard
+# deviation of a window. Measured on slopes of light, whose best plane noise draws to where lenses share less: behind
+# three focal lengths by 5 % with 64 samples a pixel, by 0.5 % with 1024.
 _UNEVEN = (0.002, 0.015)
 _SHARED = 2.0
 
@@ -153,7 +154,7 @@ class LensComparison:
             measured[:, np.flatnonzero(far)[:, None], row, column] = new
 
     def moved_by_brightness(self) -> Array:
-        """Return how far errors of lenses' brightness may move what agrees best, in inverse disparities, of each bin.
+        """Return how far errors of lenses' light may move what agrees best, in inverse disparities, of each bin.
 
         Errors move an even slope by their size over the slope, and texture, which rises and falls, hardly at all.
         """
