@@ -52,7 +52,7 @@ coverage: $(VENV)/.ready llvm
 	$(PYTEST) --timeout=300 --cov --cov-report=html --cov-report=term
 
 # Parts take like times by tests/slow_seconds.json, which 'make slow MEASURE=yes' writes.
-SLOW_PARTS := 4
+SLOW_PARTS := 6
 slow: $(VENV)/.ready llvm
 	$(PYTEST) -m slow --timeout=1200 --durations-path tests/slow_seconds.json \
 		$(if $(PART),--splits $(SLOW_PARTS) --group $(PART)) $(if $(MEASURE),--store-durations --clean-durations)
