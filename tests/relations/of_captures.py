@@ -359,3 +359,13 @@ def depth_of_walls(draw):
         return None
     beyond = float(np.linalg.norm(camera.wavefront[4:]))
     return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003 + 0.06 * beyond
+
+
+@relation(Use.DECODING | Use.RAYS, MOVING, "depth")
+def depth_of_dim_light(draw):
+    """Depths of a wall and their confidences have no unit of light."""
+    g = draw.camera.focus_distance * 1.03
+    image = mp.render_capture(wall(draw.camera, g), model="ray", spp=16).image
+    lfs = [mp.decode(image * unit, camera=draw.camera) for unit in (1, 1e-6)]
+    one, other = (views.depth_map(lf, 0.97 * g, 1.03 * g, planes=12) for lf in lfs)
+    return float(np.abs(np.nan_to_num([one.depth / other.depth - 1, one.confidence - other.confidence])).max()), 0.001
