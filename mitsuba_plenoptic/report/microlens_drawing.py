@@ -28,7 +28,7 @@ def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -
         Wavelength in nanometres. Default: that of the line d.
     """
     wavelength = LINE_D if wavelength is None else require_wavelength(wavelength)
-    reach = float(camera.lattice.cell_reach)
+    reach = camera.lattice.cell_reach
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
     u, v = np.meshgrid(along, along)
     inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
@@ -47,7 +47,7 @@ def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -
 
 def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     """Draw a section of the lens, with rays parallel to the axis to half the detector distance beyond the detector."""
-    half = float(camera.lattice.aperture_width) / 2
+    half = camera.lattice.aperture_width / 2
     start = np.linspace(-1, 1, 15) * half * 0.98
     deflection = camera.microlens.slopes(start, 0 * start)[0] * camera.microlens.strength(wavelength)
     sine = np.asarray(deflection) / camera.mla_medium
@@ -66,7 +66,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
 def _spot(axes: Axes, camera: PlenopticCamera, field: Doubles, along: Doubles, wavelength: float) -> None:
     """Draw the square root of the detector intensity for parallel light, from Fresnel's integral."""
     scale = in_millimetres(wavelength) * camera.reduced_distance
-    reach = max(4 * scale / float(camera.lattice.aperture_width), 1.5 * camera.pixel_size)
+    reach = max(4 * scale / camera.lattice.aperture_width, 1.5 * camera.pixel_size)
     positions = np.linspace(-reach, reach, 161)
     chirp = np.exp(1j * np.pi * along**2 / scale)
     wave = np.exp(-2j * np.pi * np.outer(positions, along) / scale) * chirp

@@ -121,7 +121,7 @@ class ArrayKernels(LensWaves):
         u, v, inside = self.aperture_grid(self._samples_of(USUAL.coarse_points))
         kinds = self.kinds[: len(camera.mla_focal_lengths)]
         # Kernels of steep light change with its direction as polynomials of degree 4.
-        edge = max(float(self.lattice.aperture_reach) / kind.distance for kind in self.kinds)
+        edge = max(self.lattice.aperture_reach / kind.distance for kind in self.kinds)
         is_steep = bool(largest + edge > USUAL.steep)
         degree = 4 if is_steep else 2
         images = [
@@ -175,7 +175,7 @@ class ArrayKernels(LensWaves):
         farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * self.camera.pixel_size * fine)))
         count = USUAL.coarse_lags
         step = fine * max(1, farthest // count)
-        if count * step <= float(self.lattice.aperture_width):
+        if count * step <= self.lattice.aperture_width:
             # Half as many are close enough for the aperture, and for the period of kernels.
             count //= 2
             step *= 1 + (farthest > count)
@@ -188,7 +188,7 @@ class ArrayKernels(LensWaves):
 
     def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, Flags]:
         """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
-        reach = float(self.lattice.cell_reach)
+        reach = self.lattice.cell_reach
         count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
         step = self.lattice.pitches[0] / samples
         along = (np.arange(count) + 0.5 - count / 2) * step
@@ -212,7 +212,7 @@ class ArrayKernels(LensWaves):
             # Transforms of the aperture, their products, and the kernels themselves.
             bytes_of_sample = 32.0
             count = 2 * (math.ceil(reach / step) + 1) * self._cell_parts(step, of_kind)
-        spot = in_millimetres(self.wavelength) * of_kind.distance / float(self.lattice.aperture_width)
+        spot = in_millimetres(self.wavelength) * of_kind.distance / self.lattice.aperture_width
         # As for pixels far larger than a lens's diffraction pattern.
         require_memory(
             bytes_of_sample * self.functions.count * float(count) ** 2,
@@ -229,7 +229,7 @@ class ArrayKernels(LensWaves):
     def _cell_parts(self, step: float, kind: Kind) -> int:
         """Return the number of samples across a cell that resolves a lens's diffraction."""
         scale = in_millimetres(self.wavelength) * kind.distance
-        return math.ceil(USUAL.cycle_samples * step * float(self.lattice.aperture_width) / scale)
+        return math.ceil(USUAL.cycle_samples * step * self.lattice.aperture_width / scale)
 
     def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
         """Return the sampling of `kernels`: lag step in fine samples, number of lags, samples on either side."""
@@ -368,25 +368,25 @@ class ArrayKernels(LensWaves):
         bottom = rows[-1] + 1
         left = columns[0]
         width = columns[-1] + 1 - columns[0]
-        values = polynomials.values(*(coordinate[open_] for coordinate in lattice.to_frame(x, y)))
+        both = np.hstack([polynomials.functions, polynomials.duals])
+        u, v = (coordinate[open_] for coordinate in lattice.to_frame(x, y))
+        functions, duals = np.split(polynomials.values(u, v, both), 2)
         # On these samples, too, the integrals of the duals with the functions over the lens are exact.
         measure = share[open_] * np.square(np.abs(T[open_]))
-        functions = polynomials.functions
-        duals = polynomials.duals
-        products = (values @ functions).T @ (measure[:, None] * (values @ duals)) / measure.sum()
-        exact = duals @ np.linalg.solve(products, functions.T @ coefficients)
-        weight = np.zeros((*open_.shape, coefficients.shape[1]), np.float32)
-        weight[open_] = share[open_, None] * (values @ exact)
-        weight = weight[top:bottom, left : left + width]
-        across, up, around = (self._symmetry(T, weight, axes) for axes in (1, 0, (0, 1)))
+        products = functions @ (measure * duals).T / measure.sum()
+        exact = np.linalg.solve(products, polynomials.functions.T @ coefficients)
+        weight = np.zeros((coefficients.shape[1], *open_.shape), np.float32)
+        weight[:, open_] = share[open_] * (exact.T @ duals)
+        weight = weight[:, top:bottom, left : left + width]
+        across, up, around = (self._symmetry(T, weight, axes) for axes in (2, 1, (1, 2)))
         real = imaginary = np.ones(coefficients.shape[1], bool)
         if around is not None:
             # Opposite points give conjugate products: half of the lens gives the real or the imaginary part.
             real = np.ravel(around > 0)
             imaginary = ~real
             bottom = (top + bottom) // 2
-            weight = 2 * weight[: bottom - top]
-        weight = weight.reshape(-1, coefficients.shape[1])
+            weight = 2 * weight[:, : bottom - top]
+        weight = weight.reshape(len(weight), -1).T
         weights = weight[:, real], weight[:, imaginary]
         count = 2 * farthest + 1
         most = farthest * stride
@@ -431,13 +431,14 @@ class ArrayKernels(LensWaves):
     def _symmetry(T: NDArray[Any], weight: Floats, axis: int | tuple[int, int]) -> Floats | None:
         """Return 1 for weights that are even, and -1 for odd ones, along axes along which T is even; otherwise None.
 
-        Shapes: the result (n, 1, 1), `weight` (rows, columns, n).
+        Shapes: the result (n, 1, 1), `weight` (n, rows, columns).
         """
+        if not np.abs(T - np.flip(T[None], axis)[0]).max() <= USUAL.mirrored:
+            return None
         mirror = np.flip(weight, axis)
-        signs = np.where((mirror * weight).sum((0, 1)) < 0, np.float32(-1), np.float32(1))
-        even = np.allclose(T, np.flip(T, axis), rtol=0, atol=USUAL.mirrored)
-        even = even and np.allclose(weight, signs * mirror, rtol=0, atol=USUAL.mirrored * np.abs(weight).max((0, 1)))
-        return signs[:, None, None] if even else None
+        signs = np.where(np.einsum("nij,nij->n", mirror, weight) < 0, np.float32(-1), np.float32(1))[:, None, None]
+        error = np.abs(weight - signs * mirror).max((1, 2))
+        return signs if (error <= USUAL.mirrored * np.abs(weight).max((1, 2))).all() else None
 
 
 def displaced(kernels: Doubles) -> list[Doubles]:

@@ -69,10 +69,10 @@ class LensFunctions:
         unit = np.eye(len(powers))
         return cls(scale, powers, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in powers])
 
-    def values(self, u: Doubles, v: Doubles) -> Doubles:
-        """Return the values of the polynomials at positions."""
+    def values(self, u: Doubles, v: Doubles, coefficients: Doubles) -> Doubles:
+        """Return the values (n, ...) at positions of combinations of the polynomials, by their coefficients."""
         terms = monomials(u / self.scale, v / self.scale, self.exponents)
-        return np.asarray(np.stack(terms, -1) @ self.triangle)
+        return np.tensordot((self.triangle @ coefficients).T, np.stack(terms), 1)
 
     @property
     def count(self) -> int:
@@ -92,7 +92,7 @@ class LensFunctions:
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
         """
-        expected = _differing(self.values(*points), *points, self.scale)
+        expected = _differing(self.values(*points, np.eye(len(self.odd))).T, *points, self.scale)
         products = images @ images.T
         odd = np.array(self.odd)
         candidates = []
@@ -127,7 +127,7 @@ class LensFunctions:
 
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
-        return np.asarray(self.duals.T @ edge_covariance(self.values(u, v), u, v, self.scale) @ self.duals)
+        return edge_covariance(self.values(u, v, self.duals).T, u, v, self.scale)
 
 
 def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:

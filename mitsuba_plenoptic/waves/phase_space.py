@@ -103,7 +103,7 @@ class PhaseSpace(ArrayKernels):
         self.radial = radial
         self._extremes = longest or wavelength, shortest or wavelength
         width = in_millimetres(wavelength)
-        opening = float(camera.lattice.aperture_width)
+        opening = camera.lattice.aperture_width
         # Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths.
         least_fill = USUAL.narrowest_opening * width * camera.mla_fill / opening
         # Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens.
@@ -136,7 +136,7 @@ class PhaseSpace(ArrayKernels):
     def _limits(self) -> str:
         """Return the allowed range of the detector's distance in mm, as text."""
         camera = self.camera
-        aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / float(self.lattice.aperture_reach) ** 2
+        aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / self.lattice.aperture_reach**2
         vergence = camera.lens_data.converges / camera.pupil_distance
         powers = [1 / f2 - vergence for f2 in camera.reduced_focal_lengths]
         near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
@@ -218,8 +218,8 @@ class PhaseSpace(ArrayKernels):
         grids: tuple[Any, ...] = self.aperture_grid(USUAL.function_samples)
         u, v, inside = (grid[len(grid) // 2 :, len(grid) // 2 :] for grid in grids)
         spacing = 2 * u[0, 0]
-        values = np.where(inside[..., None], functions.values(u, v) @ functions.functions, 0) * (2 * spacing) ** 2
-        values = np.moveaxis(values, -1, 0).astype(np.float32)
+        values = functions.values(u, v, functions.functions) * (2 * spacing) ** 2
+        values = np.where(inside, values, 0).astype(np.float32)
         odd_u, odd_v = np.array(functions.odd).T[..., None, None]
 
         def fill(radial: int) -> None:

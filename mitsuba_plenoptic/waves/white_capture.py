@@ -101,7 +101,7 @@ class WhiteSum(SignedRaySum):
         u, v = lattice.to_frame(*lattice.aperture_point(*np.meshgrid(*along)))
         factors = []
         for functions in (node.plan.functions for node in self._nodes):
-            values = functions.values(u, v) @ functions.functions
+            values = np.moveaxis(functions.values(u, v, functions.functions), 0, -1)
             # The mean of the first function is 1, that of others 0.
             values[..., 1:] -= values[..., 1:].mean((0, 1))
             sums = values.reshape(down, _WITHIN, across, _WITHIN, -1).sum((1, 3))
