@@ -98,7 +98,6 @@ def test_spreads_by_rays_share_the_pupils_image_on_the_array_among_lenses():
     assert disc.sum() == pytest.approx(1, rel=1e-3) and np.median(disc[disc > 0]) == pytest.approx(1 / area, rel=0.02)
 
 
-@pytest.mark.slow
 def test_rays_refract_at_their_wavelength_in_microlenses_of_a_shape():
     """As glass does whose index is the same at all wavelengths; spreads of prescriptions have a relation."""
 
