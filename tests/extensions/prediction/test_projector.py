@@ -51,8 +51,9 @@ def projector():
 HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("camera", "distance"), [(CAMERA, 0.012), (HEXAGONAL, 380.0)])
+@pytest.mark.parametrize(
+    ("camera", "distance"), [pytest.param(CAMERA, 0.012, marks=pytest.mark.slow), (HEXAGONAL, 380.0)]
+)
 def test_elements_are_recorded_as_their_points_are(camera, distance):
     """Fine points of one element of a lens near the middle, through the whole turned camera."""
     part = part_of(model_of(camera))
