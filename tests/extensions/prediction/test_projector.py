@@ -41,14 +41,12 @@ def part_of(model):
 
 MODEL = model_of(CAMERA)
 PART = part_of(MODEL)
+HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
 @pytest.fixture(scope="module")
 def projector():
     return SceneProjection(PART, [plane_of(PART, depth) for depth in (0.0, -0.03)])
-
-
-HEXAGONAL = THIN.replace(mla_lattice="hexagonal")
 
 
 @pytest.mark.parametrize(
