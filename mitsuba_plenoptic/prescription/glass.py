@@ -79,8 +79,14 @@ class Glass:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Shortest and longest wavelength in nanometres over which a table gives the index; formulas have no limit."""
-        return (self.numbers[0], self.numbers[-2]) if self.form == "table" else (0.0, np.inf)
+        """Shortest and longest wavelength in nanometres at which the glass has an index: a table ends, a formula rises.
+
+        From a fifth above the wavelength at which Sellmeier's formula is infinite in the ultraviolet, it holds.
+        """
+        if self.form == "table":
+            return self.numbers[0], self.numbers[-2]
+        poles = [number for number in self.numbers[3:] if 0 < number < 0.25 and self.form == "sellmeier"]
+        return 1200.0 * max(poles, default=0.0) ** 0.5, 2500.0
 
     def at(self, wavelength: float) -> float:
         """Return the refractive index at a wavelength.
@@ -93,9 +99,15 @@ class Glass:
         Raises
         ------
         InputError
-            If the formula gives no index from 1 to 5 there, or the table does not reach so far.
+            If the glass gives no index from 1 to 5 there, or does not reach so far.
         """
-        index = self._at(require_wavelength(wavelength))
+        low, high = self.reach
+        refuse_if(
+            not low <= require_wavelength(wavelength) <= high,
+            f"glass {self.name or self.form}: wavelength = {wavelength:g} nm: it has an index from {low:.4g} to "
+            f"{high:g} nm",
+        )
+        index = self._at(wavelength)
         if not _LOWEST <= index <= _HIGHEST:
             raise InputError(
                 f"glass {self.name or self.form}: its index at {wavelength:g} nm is {index:.4g}; it must be from "
@@ -117,11 +129,6 @@ class Glass:
             from scipy.interpolate import make_interp_spline
 
             table = numbers.reshape(-1, 2)
-            if not table[0, 0] <= wavelength <= table[-1, 0]:
-                raise InputError(
-                    f"glass {self.name or 'table'}: wavelength = {wavelength:g} nm: its table goes from "
-                    f"{table[0, 0]:g} to {table[-1, 0]:g} nm"
-                )
             abscissa = 1 / table[::-1, 0] ** 2
             index = table[::-1, 1]
             return float(make_interp_spline(abscissa, index, k=min(3, len(table) - 1))(1 / wavelength**2))

@@ -251,15 +251,18 @@ class Volume:
         return self.values[position[0]], self.values[:, position[1]], self.values[:, :, position[2]]
 
     def to_xarray(self) -> xr.DataArray:
-        """Return the volume as an array with axes ``distance``, ``y`` and ``x``, which start on the optical axis."""
+        """Return the volume as an array with axes ``distance``, ``y`` and ``x``, in mm from the middle of its planes.
+
+        As in all pictures, +x is to the left and +y up: both fall with the index.
+        """
         # It takes half a second to load.
         import xarray as xr
 
         _, rows, columns = self.values.shape[:3]
         coordinates = {
             "distance": list(self.distances),
-            "y": (np.arange(rows) - (rows - 1) / 2) * self.voxel_size,
-            "x": (np.arange(columns) - (columns - 1) / 2) * self.voxel_size,
+            "y": ((rows - 1) / 2 - np.arange(rows)) * self.voxel_size,
+            "x": ((columns - 1) / 2 - np.arange(columns)) * self.voxel_size,
         }
         dimensions = [*coordinates, "channel"][: self.values.ndim]
         attributes = {"voxel_size": self.voxel_size, **{k: json.dumps(v) for k, v in self.attributes.items()}}

@@ -37,6 +37,7 @@ from .model_white import wave_white as wave_white
 from .model_white import white_pixels as white_pixels
 from .mosaics import LAYOUTS as LAYOUTS
 from .mosaics import read_mosaic as read_mosaic
+from .mosaics import warn_of_dark as warn_of_dark
 from .mosaics import write_mosaic as write_mosaic
 from .refocusing import focal_stack as focal_stack
 from .refocusing import refocus as refocus

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ..errors import refuse_if, require_choice, require_count
+from ..errors import refuse_if, require_choice, require_count, warn
 from ..io import StoredPicture, read_picture, write_picture
+from ..runtime import Array
 from .coordinates import light_field, require_light_field
 from .viewpoints import lens_mosaic, view_mosaic
 
@@ -31,9 +32,18 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
     """
     require_choice("layout", layout, LAYOUTS)
     lf = require_light_field(lf)
+    warn_of_dark(path, lf.values)
     peak = float(np.max(lf.values, initial=0)) or 1.0
     mosaic = lens_mosaic(lf) if layout == "lenses" else view_mosaic(lf)
     write_picture(path, mosaic / peak, f"{lf.sizes['u']} {layout}" if lf.sizes["u"] == lf.sizes["v"] else "")
+
+
+def warn_of_dark(path: str | Path, values: Array) -> None:
+    """Warn of samples below 0, as noise leaves them, which files of integers cannot hold."""
+    if count := np.count_nonzero(values < 0):
+        warn(
+            f"{path}: {count} of {values.size} samples are below 0 and are stored as 0, as of integers; .nc keeps them"
+        )
 
 
 def stated_mosaic(picture: StoredPicture) -> tuple[int, str] | None:

@@ -7,7 +7,6 @@ import pytest
 from cameras import HALF, warped
 from cases import facing, scene_of
 
-import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
 from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
 from mitsuba_plenoptic.refocus.straight import straightened, straightened_image
@@ -120,15 +119,6 @@ def test_focused_cameras_are_divided_alone():
     white = Capture(white_image(FOCUSED), FOCUSED)
     image = reconstruct(Capture(0.5 * white.image, FOCUSED), 280.0, white=white).image
     np.testing.assert_allclose(image[np.isfinite(image)], 0.5, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others(method="coherent"):
-    """Displacements are of single planes; with samples of their own they moved light by a tenth of a bin in focus."""
-    capture, white = mp.example("letters-wave"), mp.example("white")
-    beside = mp.reconstruct(capture, [240.0, 280.0], method=method, white=white)[0].image
-    alone = mp.reconstruct(capture, 240.0, method=method, white=white).image
-    assert np.sqrt(np.nanmean((beside - alone) ** 2)) < 2e-3 * np.nanmax(alone)
 
 
 def by_points(camera, x, y, wavelength, count=400):

@@ -28,7 +28,7 @@ def test_voxels_show_the_same_place_of_every_plane():
     """A slope in the scene, sampled by bins that grow with the distance, is that slope in all planes."""
 
     def bins(distance, count=24):
-        x = (np.arange(count) - (count - 1) / 2) * SMALL.bin_size(distance) / 4
+        x = ((count - 1) / 2 - np.arange(count)) * SMALL.bin_size(distance) / 4
         return made(distance, 10 + 3 * x - 2 * x[:, None], 4)
 
     volume = Volume.of([bins(280.0), bins(210.0), bins(245.0)])

@@ -194,7 +194,7 @@ def upright_poses(maps: Array, focal_length: float) -> Array:
     poses = np.zeros((len(maps), 6))
     for pose, (corner, along, across) in zip(poses, maps, strict=True):
         magnification = np.sqrt(np.linalg.det([along, across]))
-        # The image is turned by half a turn.
-        pose[2] = np.arctan2(along[1] - across[0], along[0] + across[1]) + np.pi
+        # The image is turned by half a turn. Rotations of nearly a whole turn would hold fits fast.
+        pose[2] = np.arctan2(across[0] - along[1], -along[0] - across[1])
         pose[3:] = *(-corner / magnification), focal_length * (1 + 1 / magnification)
     return poses

@@ -13,9 +13,9 @@ from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line,
 _UNITS = {"M": UNITS["MM"], "MM": UNITS["MM"], "C": UNITS["CM"], "I": UNITS["IN"]}
 
 _OF_THE_FILE = """
-    LEN INI NA NAO WTW CWL WTF VUX VLX VUY VLY DOR POL CLS DER UID CA GO
+    LEN INI WTW CWL WTF DOR POL CLS DER UID CA GO
 """
-"""Commands without effect on the lens itself: the program, apertures, weights, vignetting, derivatives, labels.
+"""Commands without effect on the lens itself: the program, apertures, weights, derivatives, labels.
 
 What the stop lets through is written as its aperture.
 """
@@ -113,6 +113,8 @@ class _CodevReader(DesignReader):
         match keyword:
             case "TIT" | "TITLE":
                 self.name = " ".join(line.words[1:]).strip("'\"")
+            case "NA" | "NAO" | "VUX" | "VLX" | "VUY" | "VLY":
+                line.leave_out()
             case "PRV":
                 self.defines = True
             case "DIM":
@@ -136,7 +138,10 @@ class _CodevReader(DesignReader):
                 line.refuse_if(not self.surfaces or self.ended, "surfaces must stand between SO and SI")
                 self._add(line)
                 self.ended = keyword == "SI"
-                line.refuse_if(self.ended and self.surfaces[-1].curvature, "the image is curved: the array is a plane")
+                if self.ended:
+                    line.refuse_if(self.surfaces[-1].curvature, "the image is curved: the array is a plane")
+                    # Defocus is the thickness of the image.
+                    self.surfaces[-2].thickness += self.surfaces[-1].thickness
             case "STO" | "STOP":
                 if len(line.words) == 1:
                     self._surface(line).stop = True

@@ -10,13 +10,14 @@ import contextlib
 import itertools
 import logging
 import math
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...errors import LONGEST, InputError, naming, short_repr
+from ...errors import LONGEST, InputError, naming, short_repr, warn
 from ...prescription import Glass, Prescription
 from ...runtime import require_size
 
@@ -45,6 +46,12 @@ class Line:
         """Refuse the command if it breaks a rule."""
         if broken:
             raise self.refused(rule)
+
+    def leave_out(self) -> None:
+        """Warn that what the command says of the light is left out, unless its numbers are 0."""
+        if re.search("[1-9]", " ".join(self.words[1:])):
+            said = short_repr(" ".join(self.words))
+            warn(f"{self.path}, line {self.number}: {said}: it is left out: it limits the light, not the lens")
 
     def remark(self, text: str) -> None:
         """Log a remark that names file, line and command."""
@@ -209,6 +216,8 @@ class DesignReader:
     def _lit(self, lens: Prescription) -> Prescription:
         """Return the lens with its pupil by the f-number, and with angles of the fields; none of real image heights."""
         kind = next((kind for kind in FIELD_KINDS[:3] if self.use.keys() & {"X" + kind, "Y" + kind}), None)
+        if any(any(self.use.get(axis + "RI", [])) for axis in "XY"):
+            warn(f"{self.path}: its fields are left out: they are real image heights")
         if kind is None and "FNO" not in self.use:
             return lens
         numbers = lens.paraxial

@@ -11,8 +11,8 @@ from ...prescription import Glass, Prescription, catalogue_glass
 from .lens_designs import FIELD_KINDS, UNITS, DesignReader, DesignSurface, Line, read_text
 
 _OF_THE_FILE = """
-    VERS NOTE PFIL LANG FLOA OBNA GFAC RAIM PUSH SDMA ROPD HYPR PICB FWGN FWGT VDXN VDYN VCXN VCYN VANN ZVDX ZVDY ZVCX
-    ZVCY ZVAN WWGN WWGT POLS GLRS GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT EERA RCMF
+    VERS NOTE PFIL LANG FLOA GFAC RAIM PUSH SDMA ROPD HYPR PICB FWGN FWGT ZVDX ZVDY ZVCX ZVCY ZVAN WWGN WWGT POLS GLRS
+    GLCZ GSTD NSCD COFN IWDP OMMA STUD LUID AUTH DBDT EERA RCMF
 """
 """Keywords without effect on the lens itself: the program, notes, weights and light, aiming, and analyses' settings.
 
@@ -85,6 +85,9 @@ class _ZemaxReader(DesignReader):
         """Read one line; behind the last surface, `closing`, merit functions and tolerances are allowed as well."""
         keyword = line.words[0].upper()
         if keyword in _WITHOUT_EFFECT:
+            return
+        if keyword in ("OBNA", "VDXN", "VDYN", "VCXN", "VCYN", "VANN"):
+            line.leave_out()
             return
         # Keywords of newer versions on how a value of a surface, which is given, was found: variable, picked up or
         # solved.

@@ -23,7 +23,7 @@ import xarray as xr
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
 from ...runtime import atomic_output, h5py_module, require_file, require_memory, stored_array
-from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field
+from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field, warn_of_dark
 
 # What is read of a lens grid.
 _MODEL = ("HSpacing", "VSpacing", "HOffset", "VOffset", "Rot", "UMax", "VMax", "FirstPosShiftRow", "Orientation")
@@ -65,6 +65,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
         peak = 1.0
     stored = np.concatenate([values / np.float32(peak), lf["weight"].values[..., None]], axis=4)
     if kind.kind == "u":
+        warn_of_dark(path, values)
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
     variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
     if (grid := grid_of(lf)) is not None:

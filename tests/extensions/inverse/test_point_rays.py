@@ -67,14 +67,6 @@ def test_captures_are_continuous_in_the_camera():
     assert max(steps) < 0.005 * np.linalg.norm(images[0])
 
 
-def test_voxels_become_points_in_the_order_of_the_axes():
-    values = np.zeros((2, 3, 4))
-    values[1, 0, 3] = 5
-    points, weights = volume_points(values, (0, 0, -1), (4, 6, 1))
-    assert np.array_equal(points, [[3.5, 1, 0.5]])
-    assert weights == [5 * 1 * 2 * 1]
-
-
 def test_grids_of_mitsuba_are_taken(tmp_path):
     values = np.random.default_rng(0).random((3, 4, 5)).astype(np.float32)
     path = str(tmp_path / "volume.vol")

@@ -237,6 +237,7 @@ def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
         assert (d - 1) / (f - c) == pytest.approx(float(abbe), abs=0.05)
     named = ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0")
     assert read(tmp_path, named).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
+    refuses("230 nm: it has an index from 299.5 to 2500 nm", Glass.from_plain("N-SF11").at, 230.0)
     for maker, glass in [("HOYA SCHOTT", "F2"), ("SCHOTT", "S-LAH53"), ("OHARA", "N-BK7")]:
         text = named.replace("SCHOTT", maker).replace("GLAS F2", f"GLAS {glass}")
         refuses(f"line 27: glass = '{glass}'", read, tmp_path, text)
@@ -344,6 +345,13 @@ def test_apertures_of_neighbours_and_unused_private_glasses_of_codev(tmp_path):
     expected = thin_rows([(1 / 50, 5, 1.5168), (-1 / 40, 3, 1.62), (-1 / 100, 0, 1)])
     assert paraxial(lens, 587.5618).focal_length == pytest.approx(expected, rel=1e-4)
     refuses("a glass of PRV is not read", read, tmp_path, text.replace("620000.364000", "'NOA61'"), "lens.seq")
+
+
+@pytest.mark.parametrize(("old", "new"), [("EPD 10", "EPD 10\nNA 0.08"), ("GO", "VUY 0 0.3\nGO"), ("YAN", "YRI")])
+def test_what_limits_the_light_is_left_out_with_a_warning(tmp_path, old, new):
+    with pytest.warns(UserWarning, match="left out"):
+        lens = read(tmp_path, CODEV.replace(old, new).replace("SI 0.0 0.0", "SI 0.0 0.3"), "lens.seq")
+    assert lens.image_distance == 60.3 and lens.surfaces == read(tmp_path, CODEV, "lens.seq").surfaces
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Files of other programs: LFToolbox, mosaics, raw pictures of real cameras."""
 
+import contextlib
 import json
 import math
 import sys
@@ -33,6 +34,8 @@ class TestLFToolbox:
         ex.write_lftoolbox(tmp_path / "a.mat", lf, precision=precision)
         back = ex.read_lftoolbox(tmp_path / "a.mat")
         assert back.dims == lf.dims
+        with pytest.warns(UserWarning, match="1 of .* are below 0") if levels else contextlib.nullcontext():
+            ex.write_lftoolbox(tmp_path / "b.mat", lf.where(lf < lf.max(), -1), precision=precision)
         step = 0 if levels is None else float(lf.max()) / levels / 2 * 1.01
         np.testing.assert_allclose(back.values, lf.values, atol=step + 1e-7)
         np.testing.assert_allclose(back.weight.values, lf.weight.values, atol=0 if levels is None else 0.51 / levels)
