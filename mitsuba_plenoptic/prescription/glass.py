@@ -79,12 +79,13 @@ class Glass:
 
     @property
     def reach(self) -> tuple[float, float]:
-        """Shortest and longest wavelength in nanometres at which the glass has an index: a table ends, a formula rises.
+        """Shortest and longest wavelength in nanometres at which the glass has an index.
 
-        From a fifth above the wavelength at which Sellmeier's formula is infinite in the ultraviolet, it holds.
+        Sellmeier's formula holds from a fifth above its pole in the ultraviolet.
         """
         if self.form == "table":
             return self.numbers[0], self.numbers[-2]
+        # 0.25: Square micrometres, beyond which poles are in the infrared.
         poles = [number for number in self.numbers[3:] if 0 < number < 0.25 and self.form == "sellmeier"]
         return 1200.0 * max(poles, default=0.0) ** 0.5, 2500.0
 

@@ -395,7 +395,7 @@ def disagreement_of_planes(
         )
     off = _off(lf, slopes)[:, None, None] if lf.attrs.get("camera") else 0.0
     if is_focused(lf):
-        off = off * np.hypot(1, lenses.moved_by_brightness() * np.abs(slopes[:, None, None]) / _OFF)
+        off = off * np.hypot(1, lenses.moved_by_errors() * np.abs(slopes[:, None, None]) / _OFF)
     return disagreement(ratio, variance, counted_for, independent, brightness, 1 / distances, noise, off), samples
 
 

@@ -153,7 +153,7 @@ class LensComparison:
                     measured[0, np.flatnonzero(~far & side)[:, None], row, column] *= np.fmax(step, 1)
             measured[:, np.flatnonzero(far)[:, None], row, column] = new
 
-    def moved_by_brightness(self) -> Array:
+    def moved_by_errors(self) -> Array:
         """Return how far errors of lenses' light may move what agrees best, in inverse disparities, of each bin.
 
         Errors move an even slope by their size over the slope, and texture, which rises and falls, hardly at all.

@@ -41,9 +41,7 @@ def write_mosaic(path: str | Path, lf: xr.DataArray, *, layout: str = "lenses") 
 def warn_of_dark(path: str | Path, values: Array) -> None:
     """Warn of samples below 0, as noise leaves them, which files of integers cannot hold."""
     if count := np.count_nonzero(values < 0):
-        warn(
-            f"{path}: {count} of {values.size} samples are below 0 and are stored as 0, as of integers; .nc keeps them"
-        )
+        warn(f"{path}: {count} of {values.size} samples are below 0, which integers hold as 0; .nc keeps them")
 
 
 def stated_mosaic(picture: StoredPicture) -> tuple[int, str] | None:

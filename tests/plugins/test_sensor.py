@@ -137,10 +137,7 @@ def derivatives(scene, parameter, spp, step=None):
     return gradient[..., 0], (higher - lower)[..., 0] / (2 * step)
 
 
-@pytest.mark.parametrize(
-    ("parameter", "lens_model"),
-    [pytest.param("mla_distance", "ideal", marks=pytest.mark.slow), ("detector_distance", "parabolic")],
-)
+@pytest.mark.parametrize(("parameter", "lens_model"), [("mla_distance", "ideal"), ("detector_distance", "parabolic")])
 def test_gradients_behind_a_medium_agree_off_the_axis(parameter, lens_model):
     """By Snell's law, 30 mm off the axis, where it moves light by many pixels."""
     camera = PlenopticCamera(

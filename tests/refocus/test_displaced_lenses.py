@@ -7,7 +7,7 @@ import pytest
 from cameras import HALF, warped
 from cases import facing, scene_of
 
-from mitsuba_plenoptic import Capture, PlenopticCamera, reconstruct, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, example, reconstruct, render_capture
 from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
 from mitsuba_plenoptic.refocus.straight import straightened, straightened_image
 from mitsuba_plenoptic.report.experiment import thin_lens_image
@@ -119,6 +119,13 @@ def test_focused_cameras_are_divided_alone():
     white = Capture(white_image(FOCUSED), FOCUSED)
     image = reconstruct(Capture(0.5 * white.image, FOCUSED), 280.0, white=white).image
     np.testing.assert_allclose(image[np.isfinite(image)], 0.5, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_a_plane_divided_by_a_white_capture_is_the_same_beside_others():
+    capture, white = example("letters-wave"), example("white")
+    beside, alone = (reconstruct(capture, g, method="coherent", white=white) for g in ([240.0, 280.0], 240.0))
+    assert np.sqrt(np.nanmean((beside[0].image - alone.image) ** 2)) < 2e-3 * np.nanmax(alone.image)
 
 
 def by_points(camera, x, y, wavelength, count=400):

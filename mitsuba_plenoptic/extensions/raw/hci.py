@@ -21,7 +21,7 @@ from ...errors import InputError, naming, refuse_if, refusing, require_count, re
 from ...io import read_picture
 from ...report import images
 from ...runtime import Array, atomic_output, read_text, require_memory, write_text
-from ...views import bin_grid, camera_of, disparity, light_field
+from ...views import bin_grid, camera_of, disparity, light_field, warn_of_dark
 
 PARAMETERS = "parameters.cfg"
 SECTION = "mitsuba_plenoptic"
@@ -140,6 +140,7 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: Array | None, *, name: str)
     refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
     half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
+    warn_of_dark(folder, lf.values)
     white = images.Brightness().peak([lf.values])
     folder.mkdir(parents=True, exist_ok=True)
     for index, picture in enumerate(lf.values.reshape(-1, *lf.shape[2:])):
