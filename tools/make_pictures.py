@@ -433,7 +433,7 @@ def phase_space() -> Image.Image:
 
 def coefficient(plan: walls.PhaseSpace, radius: float, number: int) -> np.ndarray:
     """Draw a coefficient over the 3 x 3 lenses around that of the ray, at a node near a radius of the pupil."""
-    node = round((1 - (1 - radius) ** 0.5) * plan.radial)
+    node = round((1 - (1 - radius) ** 0.5) * plan.accuracy.radial)
     place, side = plan.nodes[node], 3 * plan.camera.row_pitch
     along = [(np.arange(count) + 0.5) * s / count - s / 2 for count, s in zip(place.counts, place.sides, strict=True)]
     inside = [np.flatnonzero(np.abs(each) < side / 2) for each in along]

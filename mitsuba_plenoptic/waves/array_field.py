@@ -22,7 +22,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..fields import Kind, LensKinds, aperture_points
 from ..optics import in_millimetres
-from ..runtime import Array, Doubles
+from ..runtime import Array, Doubles, Flags
 from .accuracy import USUAL
 
 Pair = tuple[Doubles, Doubles]
@@ -39,9 +39,14 @@ class LensWaves:
         self.lattice = camera.lattice.regular
         self._lens_kinds = LensKinds(camera)
         self.kinds = self._lens_kinds.every
+        # One kind of each focal length.
+        self.types = self.kinds[: len(camera.mla_focal_lengths)]
         # Largest defocus of the waves behind microlenses on the detector, in radians at the edge of a lens.
         most = max(abs(self.convergence(kind)) for kind in self.kinds)
         self.defocus = math.pi * most * float(self.lattice.aperture_reach) ** 2 / in_millimetres(wavelength)
+        # Widths in mm of a lens's diffraction on the detector, and of a lens.
+        spot = in_millimetres(wavelength) * camera.reduced_distance / camera.lattice.aperture_width
+        self.widths = spot, min(camera.mla_pitches)
 
     @property
     def aberration(self) -> float:
@@ -61,6 +66,63 @@ class LensWaves:
         # Waves from a point of an objective's stop are plane.
         vergence = self.camera.lens_data.converges / self.camera.pupil_distance
         return 1 / kind.distance + vergence - 1 / kind.focal_length
+
+    def samples_of(self, count: int) -> int:
+        """Return the number of samples across a pitch, given the number across an aperture."""
+        return math.ceil(count * self.lattice.pitches[0] / self.lattice.aperture_width)
+
+    def aperture_grid(self, samples: int) -> tuple[Doubles, Doubles, Flags]:
+        """Return coordinates of a grid around a lens, in the frame of the lattice, and a mask of its aperture."""
+        reach = self.lattice.cell_reach
+        count = 2 * math.ceil(reach * samples / self.lattice.pitches[0])
+        step = self.lattice.pitches[0] / samples
+        along = (np.arange(count) + 0.5 - count / 2) * step
+        v, u = np.meshgrid(along, along, indexing="ij")
+        return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
+
+    def cosines(self) -> Doubles:
+        """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""
+        camera = self.camera
+        field = np.linspace(-0.5, 0.5, USUAL.oblique_fields) if camera.lens_data.converges else np.zeros(1)
+        pupil = np.linspace(-1, 1, USUAL.oblique_pupil) * camera.pupil_radius
+        x, y, Px, Py = (
+            coordinate.ravel()
+            for coordinate in np.meshgrid(field * camera.detector_width, field * camera.detector_height, pupil, pupil)
+        )
+        inside = np.hypot(Px, Py) <= camera.pupil_radius
+        slopes = (coordinate[inside] / camera.pupil_distance for coordinate in (x - Px, y - Py))
+        u, v = self.lattice.to_frame(*slopes)
+        return np.column_stack([u, v]) / np.sqrt(1 + u * u + v * v)[:, None]
+
+    def spots(self, along: Doubles) -> Doubles:
+        """Return the diffraction patterns (types, n, n) of single lenses, at detector positions along both axes."""
+        u, v, inside = self.aperture_grid(USUAL.pitch_lags)
+        wavelength = in_millimetres(self.wavelength)
+        patterns = []
+        for kind in self.types:
+            scale = wavelength * kind.distance
+            waves = np.exp(-2j * np.pi * np.outer(along, u[0]) / scale)
+            # In front of the lens, whose phase follows.
+            phase = (self.convergence(kind) + 1 / kind.focal_length) * (u * u + v * v) / (2 * wavelength)
+            offset = self.lattice.from_frame(u, v)
+            phase += self.camera.microlens.lens_waves(self.lattice, *offset, kind.focal_length, self.wavelength)
+            field = waves @ np.where(inside, np.exp(2j * np.pi * phase), 0) @ waves.T
+            patterns.append(np.abs(field) ** 2 * (u[0, 1] - u[0, 0]) ** 2 / (inside.sum() * scale**2))
+        return np.stack(patterns)
+
+    def cell_parts(self, step: float, kind: Kind) -> int:
+        """Return the number of samples across a cell that resolves a lens's diffraction."""
+        scale = in_millimetres(self.wavelength) * kind.distance
+        return math.ceil(USUAL.cycle_samples * step * self.lattice.aperture_width / scale)
+
+    def kernel_samples(self, step: float, reach: float, kind: int = 0) -> tuple[int, int, int]:
+        """Return the sampling of kernels: lag step in fine samples, number of lags, samples on either side."""
+        scale = in_millimetres(self.wavelength) * self.kinds[kind].distance
+        fine = self.lattice.pitches[0] / USUAL.pitch_lags
+        stride = max(1, int(scale / (2 * fine * reach)))
+        # Pairs in neighbouring lenses are less than two cell widths apart; the grid resolves half a cycle per step.
+        farthest = int(min(2 * USUAL.pitch_lags, scale / (2 * step * fine))) // stride
+        return stride, farthest, math.ceil((scale / (fine * stride * step) + USUAL.border) / 2)
 
     def _plane(self, x: Pair, kind: Kind, cosines: tuple[float, float]) -> tuple[Pair, Array, Array]:
         r"""Return the points of the array that stand at positions `x` of kernels' pairs, for given direction cosines.

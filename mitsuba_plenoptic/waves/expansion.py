@@ -52,18 +52,7 @@ class ExpandedPlan(PhaseSpace):
     @functools.lru_cache(maxsize=16)
     def about(plan: PhaseSpace, camera: PlenopticCamera) -> ExpandedPlan:
         """Return the plan of a camera near that of `plan`, cached for further captures."""
-        return ExpandedPlan(camera, plan.wavelength, basis=plan, **plan.options)
-
-    @property
-    def start(self) -> PhaseSpace:
-        """The plan about which this one is expanded."""
-        assert self.basis is not None
-        return self.basis
-
-    @property
-    def covariance(self) -> Doubles:
-        """That of `start`: it decides which images suffice for random light, and hardly changes."""
-        return self.start.covariance
+        return ExpandedPlan.of(camera, plan.wavelength, plan.accuracy, basis=plan)
 
     def tabulated(self, table: Table | None = None) -> Sequence[Array]:
         """Return the arrays of the table of coefficients, or fill a given table."""
@@ -134,7 +123,7 @@ def width_slopes(start: PhaseSpace) -> Table:
 @functools.lru_cache(maxsize=32)
 def _kernel_changes(plan: PhaseSpace, name: str, component: int, step: float, kind: int) -> tuple[Doubles, Doubles]:
     """Return the first and second derivatives of kernels by the relative change of a parameter's component."""
-    samples = plan.kernel_samples(step, plan.reach, kind)
+    samples = plan.waves.kernel_samples(step, plan.reach, kind)
     sides = []
     for change in (_KERNEL_STEP, -_KERNEL_STEP):
         if name == "detector_width":

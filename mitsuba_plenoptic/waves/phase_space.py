@@ -20,10 +20,10 @@ to the centre of the lens. The coefficients are tabulated here, and interpolated
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self
 
 import drjit as dr
 import mitsuba as mi
@@ -36,6 +36,7 @@ from ..errors import InputError, short_repr
 from ..fields import OpticalSystem, opaque_lattice
 from ..optics import in_millimetres
 from ..runtime import (
+    Doubles,
     Floats,
     Pair,
     begin_step,
@@ -44,10 +45,20 @@ from ..runtime import (
     fft,
     monomials,
     on_all_cores,
+    require_memory,
     single_threaded_blas,
 )
-from .accuracy import FINER, USUAL
-from .array_kernels import ArrayKernels
+from .accuracy import FINER, USUAL, WaveAccuracy
+from .array_field import LensWaves
+from .array_kernels import (
+    cell_kernels,
+    covariance_of_values,
+    lens_functions,
+    oblique_kernels,
+    sampled_kernels,
+)
+from .lens_functions import LensFunctions
+from .oblique import Oblique
 
 FINE = 0.005
 """Accuracy below which finer plans are made."""
@@ -73,105 +84,89 @@ class TableNode(NamedTuple):
     angular: int
 
 
-class PhaseSpace(ArrayKernels):
+@dataclass(frozen=True, eq=False)
+class PhaseSpace:
     """Diffraction of one camera at one wavelength, as coefficients of rays and kernels of images."""
 
+    camera: PlenopticCamera
+    wavelength: float
+    accuracy: WaveAccuracy
+    waves: LensWaves
+    system: OpticalSystem
+    # Whether a ray lands where its point on the lens sends it, instead of where the lens's centre does. Far from the
+    # microlenses' focus a few functions cannot describe the difference. The spread by the pupil is then taken as that
+    # of the whole pupil for all of its points.
+    lands_by_point: bool
+    # Functions of a ray's point on a lens, and combinations of the changes of their kernels with light's direction.
+    functions: LensFunctions
+    oblique: Oblique
+    # Covariance of the values of an image's rays, in random light.
+    covariance: Doubles
+    # Nodes of the table along the pupil's radius.
+    nodes: list[TableNode]
+    # The plan whose functions and nodes it has.
     basis: PhaseSpace | None
+    _computed: dict[Any, Doubles] = field(default_factory=dict)
 
-    def __init__(
-        self,
+    @classmethod
+    def of(
+        cls,
+        # Taken `at_wavelength` if it has glass.
         camera: PlenopticCamera,
         wavelength: float,
+        accuracy: WaveAccuracy = USUAL,
         *,
-        # Units across the window at the pupil's rim, where the spread of a ray is largest. A unit is a lens, or more
-        # behind pupils that diffract light over many lenses. Light outside is folded back by whole windows, which
-        # conserves the energy.
-        window: int = 9,
-        # Nodes of the table along the pupil's radius, denser towards its rim.
-        radial: int = 12,
-        # Extreme wavelengths of the plans with which it is used, whose tables have the same nodes. Default: its own.
+        # Extreme wavelengths of the plans with which it is used, whose rays land alike and whose tables have the same
+        # nodes. Default: its own.
         shortest: float | None = None,
         longest: float | None = None,
+        # Whether another plan with which it is used is far from focus, as all rays must land alike.
+        beside_far: bool = False,
         # The plan whose functions and nodes of the table it has.
         basis: PhaseSpace | None = None,
-        # Those of `ArrayKernels`.
-        **options: Any,
-    ) -> None:
-        super().__init__(camera, wavelength, shortest=shortest, basis=basis, **options)
-        self.options = {"window": window, "radial": radial, "shortest": shortest, "longest": longest, **options}
-        self.window = window
-        self.radial = radial
-        self._extremes = longest or wavelength, shortest or wavelength
-        width = in_millimetres(wavelength)
-        opening = camera.lattice.aperture_width
-        # Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths.
-        least_fill = USUAL.narrowest_opening * width * camera.mla_fill / opening
-        # Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens.
-        growth = max(abs(self.convergence(kind)) * kind.distance for kind in self.kinds)
-        shift = growth * width * camera.pupil_distance / (2 * camera.pupil_radius) / camera.pixel_size
-        for name, refused, rule in (
-            (
-                "mla_fill",
-                least_fill > camera.mla_fill,
-                f'{least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; use method="points"',
-            ),
-            (
-                "mla_shape",
-                self.aberration > USUAL.most_phase,
-                "closer to a parabola, for the shortest wavelength, too; use CaptureOperator",
-            ),
-            ("mla_shape", not camera.microlens.is_parabolic and self.lands_by_point, "near the microlenses' focus"),
-            (
-                "detector_distance",
-                self.lands_by_point and shift > USUAL.most_shift,
-                f"closer to the microlenses' focus, {self._limits()}",
-            ),
-        ):
+    ) -> Self:
+        """Return the plan of a camera whose detector is near the microlenses' focus."""
+        waves = LensWaves(camera, wavelength)
+        system = OpticalSystem(camera, wavelength)
+        shortest = shortest or wavelength
+        lands_by_point = beside_far or waves.defocus * wavelength / shortest > USUAL.most_phase
+        for name, refused, rule in _rules(waves, lands_by_point):
             if refused:
                 raise InputError(f"{name} = {short_repr(getattr(camera, name))}: for signed rays it must be {rule}")
-        # Widths in mm of a lens's diffraction on the detector, and of a lens.
-        self.widths = width * camera.reduced_distance / opening, min(camera.mla_pitches)
-        self.system = OpticalSystem(camera, wavelength)
-
-    def _limits(self) -> str:
-        """Return the allowed range of the detector's distance in mm, as text."""
-        camera = self.camera
-        aside = USUAL.most_phase * in_millimetres(self.wavelength) / math.pi / self.lattice.aperture_reach**2
-        vergence = camera.lens_data.converges / camera.pupil_distance
-        powers = [1 / f2 - vergence for f2 in camera.reduced_focal_lengths]
-        near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
-        return f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
-
-    @functools.cached_property
-    def nodes(self) -> list[TableNode]:
-        """Nodes of the table along the pupil's radius, each with its window and number of samples."""
-        if self.basis:
+        if basis:
+            grown = np.divide(waves.lattice.period(), basis.waves.lattice.period()).tolist()
+            functions = replace(basis.functions, scale=basis.functions.scale * grown[0])
+            oblique = basis.oblique
+            covariance = basis.covariance
             # Windows grow with the lattice.
-            scales = np.divide(self.lattice.period(), self.basis.lattice.period()).tolist()
-            return [
-                node._replace(sides=(node.sides[0] * scales[0], node.sides[1] * scales[1])) for node in self.basis.nodes
-            ]
-        radius = self.camera.pupil_radius
-        pitch = self.lattice.pitches[0]
-        # Windows are for the longest wavelength, and samples for the shortest.
-        reach, least_reach = (in_millimetres(limit) * self.camera.pupil_distance for limit in self._extremes)
-        unit = max(pitch, USUAL.airy_unit * reach / radius)
-        oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
-        nodes = []
-        for index in range(self.radial + 1):
-            distance, inner = (self._distance(max(r, 0)) for r in (index, index - 1))
-            spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
-            least = (USUAL.least_window - (spread <= USUAL.narrow_spread * unit)) * unit
-            width = min(self.window * unit, max(least, unit + spread))
-            sides = tuple(math.ceil(width / period - 1e-6) * period for period in self.lattice.period())
-            # The largest lag is perpendicular to the radius.
-            step = least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2))
-            step = max(step, pitch / USUAL.most_samples)
-            # Between adjacent nodes the farthest points move by half a unit.
-            angular = math.ceil(math.pi / 2 * max(sides) / unit)
-            counts = fft.fast_length(sides[0] / step), fft.fast_length(sides[1] / step)
-            nodes.append(TableNode(sides, counts, angular))
-        return nodes
+            nodes = [node._replace(sides=(node.sides[0] * grown[0], node.sides[1] * grown[1])) for node in basis.nodes]
+        else:
+            begin_step("functions of diffraction")
+            degree = accuracy.degree + 2 * (waves.defocus > USUAL.high_defocus and not lands_by_point)
+            functions = lens_functions(waves, degree, accuracy.tolerance, lands_by_point)
+            oblique = Oblique.nothing(functions.count)
+            if not lands_by_point and functions.count > 1:
+                oblique = oblique_kernels(waves, functions, degree, accuracy.tolerance)
+            covariance = covariance_of_values(waves, functions, oblique)
+            nodes = table_nodes(waves, shortest, longest or wavelength, accuracy)
+        return cls(
+            camera, wavelength, accuracy, waves, system, lands_by_point, functions, oblique, covariance, nodes, basis
+        )
+
+    @property
+    def options(self) -> tuple[Any, ...]:
+        """All that kernels depend on beside the camera, the plan about which it is expanded, and the wavelength."""
+        return self.accuracy, self.lands_by_point
+
+    @property
+    def tolerance(self) -> float:
+        """Part of images of random light that may be missing for want of images of the places in a pixel."""
+        return self.accuracy.tolerance
+
+    @property
+    def reach(self) -> float:
+        """Distance in mm to which captures need kernels."""
+        return 2.5 * max(self.camera.mla_pitches)
 
     @property
     def table(self) -> Table:
@@ -186,7 +181,7 @@ class PhaseSpace(ArrayKernels):
     @property
     def start(self) -> PhaseSpace:
         """The plan about which this one is expanded: by default the plan itself."""
-        return self
+        return self.basis or self
 
     @property
     def key(self) -> tuple[Any, ...]:
@@ -215,7 +210,7 @@ class PhaseSpace(ArrayKernels):
         reach = in_millimetres(self.wavelength) * self.camera.pupil_distance
         functions = self.functions
         # Functions are even or odd along both axes: their values over a quarter of the aperture give all coefficients.
-        grids: tuple[Any, ...] = self.aperture_grid(USUAL.function_samples)
+        grids: tuple[Any, ...] = self.waves.aperture_grid(USUAL.function_samples)
         u, v, inside = (grid[len(grid) // 2 :, len(grid) // 2 :] for grid in grids)
         spacing = 2 * u[0, 0]
         values = functions.values(u, v, functions.functions) * (2 * spacing) ** 2
@@ -263,9 +258,39 @@ class PhaseSpace(ArrayKernels):
         on_all_cores(fill, range(len(self.nodes)))
         return arrays
 
+    def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
+        """Return the kernels (n, k, k) of one kind of lenses, at least to a distance; see `array_kernels`."""
+        key = step, reach, kind
+        if key in self._computed:
+            return self._computed[key]
+        of_kind = self.waves.kinds[kind]
+        samples = self.waves.kernel_samples(step, reach, kind)
+        bytes_of_sample = 8.0
+        count = 2 * samples[2] + 1
+        if self.lands_by_point:
+            # Transforms of the aperture, their products, and the kernels themselves.
+            bytes_of_sample = 32.0
+            count = 2 * (math.ceil(reach / step) + 1) * self.waves.cell_parts(step, of_kind)
+        spot = in_millimetres(self.wavelength) * of_kind.distance / self.camera.lattice.aperture_width
+        # As for pixels far larger than a lens's diffraction pattern.
+        require_memory(
+            bytes_of_sample * self.functions.count * float(count) ** 2,
+            f"detector_width = {self.camera.detector_width:g}: pixels of {self.camera.pixel_size:.3g} mm behind lenses "
+            f"whose diffraction spreads {self.wavelength:g} nm by {spot:.2g} mm, need kernels of {count} x {count} "
+            "samples",
+        )
+        if self.lands_by_point:
+            self._computed[key] = cell_kernels(self.waves, self.functions, step, reach, of_kind)
+        else:
+            self._computed[key] = self.sampled_kernels(step, samples, kind)
+        return self._computed[key]
+
+    def sampled_kernels(self, step: float, samples: tuple[int, int, int], kind: int) -> Doubles:
+        """Return `kernels` with a given sampling, even where another sampling would suit better."""
+        return sampled_kernels(self.waves, self.functions, self.oblique, step, samples, self.waves.kinds[kind])
+
     def _distance(self, radial: Any) -> Any:
-        """Return the distance from the pupil's centre of a node of the radius, by index, or between nodes."""
-        return self.camera.pupil_radius * (1 - (1 - radial / self.radial) ** 2)
+        return along_radius(self.camera.pupil_radius, radial / self.accuracy.radial)
 
     def _overlap(self, radial: int, angle: int, lag_u: Floats, lag_v: Floats) -> Floats:
         """Return O_P over the power at P, averaged over the part of the pupil for which interpolation uses a node."""
@@ -275,13 +300,13 @@ class PhaseSpace(ArrayKernels):
         count, step = USUAL.overlap_points
         uniform = 2 * ((np.outer((1, step), np.arange(count)) + 0.5) / count % 1) - 1
         aside, turned = (np.sign(uniform) * (1 - np.sqrt(1 - np.abs(uniform))))[..., None, None]
-        if radial in (0, self.radial):
+        if radial in (0, self.accuracy.radial):
             # Nodes are on one side of those on the axis and at the rim.
             aside = np.abs(aside) if radial == 0 else -np.abs(aside)
         distance = self._distance(radial + aside)
         direction = (angle + turned) * (math.pi / 2 / self.nodes[radial].angular)
         # The area elements of steps of the node's index; on the axis any values give the same result.
-        area = ((self.radial - radial - aside) * distance).astype(np.float32)
+        area = ((self.accuracy.radial - radial - aside) * distance).astype(np.float32)
         Pu, Pv = ((distance * f(direction)).astype(np.float32) for f in (np.cos, np.sin))
         # Both points P + lag / 2 and P - lag / 2 are within the pupil.
         reached = np.abs(Pu * lag_u + Pv * lag_v)
@@ -300,17 +325,83 @@ class PhaseSpace(ArrayKernels):
         """Return the number of cells of the grid across a pixel, for usual or finer plans."""
         if self.lands_by_point:
             return 1  # kernels are integrated over pixels
-        highest = self.camera.pixel_size / self.widths[0]
+        highest = self.camera.pixel_size / self.waves.widths[0]
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
         return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
-        return [coordinate / self.functions.scale for coordinate in self.lattice.to_frame(*point)]
+        return [coordinate / self.functions.scale for coordinate in self.waves.lattice.to_frame(*point)]
 
     def moved(self, camera: PlenopticCamera) -> PhaseSpace:
         """Return the plan of a slightly different camera, with the same functions and nodes of the table."""
-        return PhaseSpace(camera, self.wavelength, basis=self, **self.options)
+        return PhaseSpace.of(camera, self.wavelength, self.accuracy, beside_far=self.lands_by_point, basis=self)
+
+
+def along_radius(radius: float, part: Any) -> Any:
+    """Return the distance from the pupil's centre of a part of the nodes of its radius, which are denser at the rim."""
+    return radius * (1 - (1 - part) ** 2)
+
+
+def table_nodes(waves: LensWaves, shortest: float, longest: float, accuracy: WaveAccuracy) -> list[TableNode]:
+    """Return the nodes of the table along the pupil's radius, each with its window and number of samples."""
+    camera = waves.camera
+    radius = camera.pupil_radius
+    pitch = waves.lattice.pitches[0]
+    # Windows are for the longest wavelength, and samples for the shortest.
+    reach, least_reach = (in_millimetres(limit) * camera.pupil_distance for limit in (longest, shortest))
+    unit = max(pitch, USUAL.airy_unit * reach / radius)
+    oversampling = USUAL.oversampling * (1 + (unit > USUAL.wide_unit * pitch))
+    nodes = []
+    for index in range(accuracy.radial + 1):
+        distance, inner = (along_radius(radius, max(r, 0) / accuracy.radial) for r in (index, index - 1))
+        spread = USUAL.window_spreads * reach / max(radius - distance, 1e-9 * radius)
+        least = (USUAL.least_window - (spread <= USUAL.narrow_spread * unit)) * unit
+        width = min(accuracy.window * unit, max(least, unit + spread))
+        sides = tuple(math.ceil(width / period - 1e-6) * period for period in waves.lattice.period())
+        # The largest lag is perpendicular to the radius.
+        step = least_reach / (2 * oversampling * 2 * math.sqrt(radius**2 - inner**2))
+        step = max(step, pitch / USUAL.most_samples)
+        # Between adjacent nodes the farthest points move by half a unit.
+        angular = math.ceil(math.pi / 2 * max(sides) / unit)
+        counts = fft.fast_length(sides[0] / step), fft.fast_length(sides[1] / step)
+        nodes.append(TableNode(sides, counts, angular))
+    return nodes
+
+
+def _rules(waves: LensWaves, lands_by_point: bool) -> list[tuple[str, bool, str]]:
+    """Return parameters, whether functions of rays and kernels do not describe their diffraction, and what does."""
+    camera = waves.camera
+    width = in_millimetres(waves.wavelength)
+    # Smallest `mla_fill` for which the kernels are valid, by the narrowest opening in wavelengths.
+    least_fill = USUAL.narrowest_opening * width * camera.mla_fill / camera.lattice.aperture_width
+    # Displacement of light, in pixels, by the pupil's diffraction, where landing points vary over a lens.
+    growth = max(abs(waves.convergence(kind)) * kind.distance for kind in waves.kinds)
+    shift = growth * width * camera.pupil_distance / (2 * camera.pupil_radius) / camera.pixel_size
+    # The range in mm of the detector's distance, for the last of the rules.
+    aside = USUAL.most_phase * width / math.pi / waves.lattice.aperture_reach**2
+    vergence = camera.lens_data.converges / camera.pupil_distance
+    powers = [1 / f2 - vergence for f2 in camera.reduced_focal_lengths]
+    near, far = (camera.mla_medium / max(power, 1e-9) for power in (min(powers) + aside, max(powers) - aside))
+    limits = f"from {near:.4g} to {far:.4g} mm" if near <= far else "which several focal lengths do not allow"
+    return [
+        (
+            "mla_fill",
+            least_fill > camera.mla_fill,
+            f'{least_fill:.3g} or more, openings of {USUAL.narrowest_opening:g} wavelengths; use method="points"',
+        ),
+        (
+            "mla_shape",
+            waves.aberration > USUAL.most_phase,
+            "closer to a parabola, for the shortest wavelength, too; use CaptureOperator",
+        ),
+        ("mla_shape", not camera.microlens.is_parabolic and lands_by_point, "near the microlenses' focus"),
+        (
+            "detector_distance",
+            lands_by_point and shift > USUAL.most_shift,
+            f"closer to the microlenses' focus, {limits}",
+        ),
+    ]
 
 
 def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
@@ -324,10 +415,7 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
 
     Tables with the same places lie side by side, so that rays find the coefficients of all wavelengths in one place.
     """
-    by_key = {}
-    for plan in plans:
-        begin_step("functions of diffraction")
-        by_key[plan.key] = plan
+    by_key = {plan.key: plan for plan in plans}
     alike: dict[Any, list[tuple[Any, PhaseSpace]]] = {}
     for key, plan in by_key.items():
         if key not in _tables:
@@ -347,7 +435,7 @@ class TableNodes:
     """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
     def __init__(self, plan: PhaseSpace) -> None:
-        self._radial = plan.radial
+        self._radial = plan.accuracy.radial
         self._radius = dr.opaque(mi.Float, plan.camera.pupil_radius)
         self._angular = drjit_array(mi.Float, np.array([node.angular for node in plan.nodes]))
 

@@ -151,6 +151,7 @@ class LensSampler(DetectorGrid):
     ) -> None:
         super().__init__(camera, parts)
         lens = plans[0].system.lens
+        waves = plans[0].waves
         opaque = functools.partial(dr.opaque, mi.Float)
         self._lattice = opaque_lattice(camera, mi.Float)
         self.walk = replace(
@@ -168,12 +169,12 @@ class LensSampler(DetectorGrid):
         # Order of the B-splines by which rays are collected in addition to cells.
         self.order = 0 if self.lands_by_point else ORDER - 1
         self._pupil_shifts = drjit_array(
-            mi.Float, np.array([plans[0].convergence(kind) * camera.pupil_distance for kind in plans[0].kinds])
+            mi.Float, np.array([waves.convergence(kind) * camera.pupil_distance for kind in waves.kinds])
         )
         # Factors by which micro-images are larger than those by rays through lens centres, for each kind of lenses.
         # Where rays land by their own points, the aberrations of a lens widen its spots, too.
         self.enlargements = [
-            1.0 if self.lands_by_point else self.kinds.enlargement(kind.focal_length) for kind in plans[0].kinds
+            1.0 if self.lands_by_point else self.kinds.enlargement(kind.focal_length) for kind in waves.kinds
         ]
         self._longest = max(plans, key=lambda plan: plan.wavelength)
         # Half the width in mm, in the pupil's plane, of the image of a pixel and of what is around its cells.
@@ -385,7 +386,7 @@ class LensPoints:
 
     def __init__(self, plan: PhaseSpace) -> None:
         self._lattice = opaque_lattice(plan.camera, mi.Float)
-        self._area = dr.opaque(mi.Float, float(plan.lattice.lens_area))
+        self._area = dr.opaque(mi.Float, float(plan.waves.lattice.lens_area))
         self._nodes = TableNodes(plan)
         # Plans that are expanded about one plan share the edges, as points may have any density.
         rows, columns = _edges(plan.start)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, cast
+from typing import cast
 
 from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..lenses import ThinLens
 from ..optics import guards, in_millimetres
 from .accuracy import FINER, USUAL
+from .array_field import LensWaves
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
 
@@ -17,9 +18,9 @@ Plan = PhaseSpace | PupilDiffraction
 """The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
 
 
-def plan_type(camera: PlenopticCamera) -> type[Plan]:
-    """Return the class of a camera's plans."""
-    return PhaseSpace if camera.has_array else PupilDiffraction
+def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction:
+    """Return what has the spots of a camera's lenses, or of its pupil without an array, and their width."""
+    return (LensWaves if camera.has_array else PupilDiffraction)(camera, wavelength)
 
 
 def check_screen(camera: PlenopticCamera, wavelength: float) -> None:
@@ -50,15 +51,4 @@ def plan_of(
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
     accuracy = FINER if fine else USUAL
-    options: dict[str, Any] = {
-        "window": accuracy.window,
-        "radial": accuracy.radial,
-        "tolerance": accuracy.tolerance,
-        "shortest": shortest,
-        "longest": longest,
-        "beside_far": beside_far,
-    }
-    plan = PhaseSpace(camera, wavelength, degree=accuracy.degree, **options)
-    if plan.lands_by_point or plan.defocus <= USUAL.high_defocus:
-        return plan
-    return PhaseSpace(camera, wavelength, degree=accuracy.degree + 2, **options)
+    return PhaseSpace.of(camera, wavelength, accuracy, shortest=shortest, longest=longest, beside_far=beside_far)

@@ -66,8 +66,8 @@ class SignedCapture:
     @cached_property
     def nodes(self) -> list[Node]:
         """The nodes, with their plans, which are expanded where parameters are varied."""
-        start = nearby(self.camera, self.varying, self.accuracy)
-        weights = self.node_weights(start)
+        start = self._start
+        weights = self.weights
         shortest = weights[0][0]
         longest = weights[-1][0]
 
@@ -88,8 +88,14 @@ class SignedCapture:
             nodes.append(Node(plan, channels, of_node))
         return nodes
 
-    def node_weights(self, camera: PlenopticCamera) -> list[tuple[float, tuple[int, ...], Doubles]]:
-        """Return each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
+    @cached_property
+    def _start(self) -> PlenopticCamera:
+        """The camera about which plans are expanded where parameters are varied."""
+        return nearby(self.camera, self.varying, self.accuracy)
+
+    @cached_property
+    def weights(self) -> list[tuple[float, tuple[int, ...], Doubles]]:
+        """Each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         conversion = self.conversion
         wavelengths = np.array(self.spectrum.wavelengths)
         responses = np.asarray(self.spectrum.matrix(), np.float64)
@@ -97,7 +103,7 @@ class SignedCapture:
             wavelengths = conversion.edges
             responses = conversion.responses
         weights: dict[float, Doubles] = {}
-        for channels, spectrum in node_spectra(camera, self.spectrum, self.accuracy, self.node_count):
+        for channels, spectrum in node_spectra(self._start, self.spectrum, self.accuracy, self.node_count):
             for node, share in zip(spectrum.computed, spectrum.shares(wavelengths), strict=True):
                 weights.setdefault(node, np.zeros(responses.shape))[channels] = responses[channels] * share
         result = []
@@ -144,8 +150,8 @@ class SignedCapture:
         progress = job.progress
         rows, columns = self.camera.shape
         check_memory(
-            memory_of(float(rows) * columns, float(rows) * columns * spp, self.nodes),
-            f"wave capture of {columns} x {rows} pixels, nodes = {len(self.nodes)}",
+            memory_of(float(rows) * columns, float(rows) * columns * spp, [len(on) for _, on, _ in self.weights]),
+            f"wave capture of {columns} x {rows} pixels, nodes = {len(self.weights)}",
             most=math.inf,
         )
 
@@ -158,10 +164,10 @@ class SignedCapture:
         # The progress of a resumed run begins with what is done.
         if job.progress and not (path and path.exists()):
             # Plans are a larger part of the work the fewer rays there are.
-            plans = _STEPS * len(self.nodes)
+            plans = _STEPS * len(self.weights)
             # 1.5e-6: Approximate work of a ray.
             planned = plans / (plans + 1.5e-6 * math.prod(self.camera.shape) * spp)
-        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.nodes)):
+        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.weights)):
             sums = self.sums(spp, seed, runs, self._kind)
             first = sums[0]()
         items = int(first.items.sum())

@@ -553,15 +553,15 @@ class SignedRaySum(RaySum):
         return pixel, pixel * together + start, start
 
 
-def memory_of(pixels: float, rays: float, nodes: Sequence[Node]) -> float:
-    """Return the approximate bytes of a capture with a count of pixels and rays."""
+def memory_of(pixels: float, rays: float, channels: Sequence[int]) -> float:
+    """Return the approximate bytes of a capture with a count of pixels and rays, and of channels of each node."""
     # 15: Usual count of the values of a ray, each with an image and a kernel.
-    values = 15 * sum(len(node.channels) for node in nodes)
+    values = 15 * sum(channels)
     # At a time two blocks are convolved, one waits and one is traced.
     blocks = 4 * min(_BLOCK_BYTES, 4 * values * pixels)
     spectra = 4 * values * min(TILE**2, 4 * pixels)
     # 40 * 2**20 and 100: Approximate bytes of a wavelength's table, and of a ray.
-    return blocks + spectra + len(nodes) * 40 * 2**20 + 100 * min(_LANES, rays) + 8 * pixels
+    return blocks + spectra + len(channels) * 40 * 2**20 + 100 * min(_LANES, rays) + 8 * pixels
 
 
 def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:

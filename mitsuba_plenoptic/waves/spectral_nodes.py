@@ -29,7 +29,7 @@ from ..optics import Spectrum, in_millimetres, interpolated
 from ..rays import even_words
 from ..runtime import Doubles, drjit_array
 from .accuracy import USUAL
-from .scheme import plan_type
+from .scheme import diffraction_of
 
 _STRATA = 4096
 """Strata of equal probability from which wavelengths are drawn."""
@@ -171,12 +171,12 @@ def _enough(camera: PlenopticCamera, spectrum: Spectrum, error: float) -> Spectr
         return spectrum.interpolated(1)
     weights = responses / responses.sum(1, keepdims=True)
     dense = np.geomspace(lit.min(), lit.max(), USUAL.dense_wavelengths)
-    make = plan_type(camera)
-    width, coarse = make(camera.at_wavelength(dense[-1]), dense[-1]).widths
+    of_dense = [diffraction_of(camera.at_wavelength(wavelength), wavelength) for wavelength in dense]
+    width, coarse = of_dense[-1].widths
     step = width * dense[0] / dense[-1] / USUAL.spot_samples
     reach = math.ceil((USUAL.spot_width * width + camera.pixel_size / 2) / step)
     along = np.arange(-reach, reach + 1) * step
-    spots = np.stack([make(camera.at_wavelength(wavelength), wavelength).spots(along) for wavelength in dense])
+    spots = np.stack([of_one.spots(along) for of_one in of_dense])
     pixel = max(1, round(camera.pixel_size / step))
     spots = scipy.ndimage.uniform_filter(spots, (0, 0, pixel, pixel), mode="constant").reshape(len(dense), -1)
 

@@ -18,7 +18,7 @@ from stopped_runs import CheckpointStore, StoppedError, stopped_before
 from mitsuba_plenoptic import CaptureOperator, Checkpoint, InputError, Job, load_scene, render_capture
 from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.waves import array_kernels, scheme, signed_rays
+from mitsuba_plenoptic.waves import phase_space, scheme, signed_rays
 
 SMALL = small_camera(4, **HALF)
 SCENE = letters(4, resolution=64)
@@ -216,7 +216,7 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
         with Checkpoint(path, existing) as checkpoint:
             return render(checkpoint, progress=progress, **options).image
 
-    whole, counts, make = image("refuse"), [], array_kernels.ArrayKernels.kernels
+    whole, counts, make = image("refuse"), [], phase_space.PhaseSpace.kernels
 
     def counted(plan, *arguments):
         counts.append(arguments)
@@ -230,7 +230,7 @@ def test_a_capture_that_was_killed_keeps_its_kernels(tmp_path, monkeypatch):
         if path.exists() and batches():
             raise StoppedError
 
-    monkeypatch.setattr(array_kernels.ArrayKernels, "kernels", counted)
+    monkeypatch.setattr(phase_space.PhaseSpace, "kernels", counted)
     with pytest.raises(StoppedError):
         image("refuse", stop)
     made = len(counts)

@@ -12,7 +12,8 @@ from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.fields.microlens_orders import PlaneFactor, axis_orders
 from mitsuba_plenoptic.fields.transmittance import transmission
 from mitsuba_plenoptic.runtime import turn
-from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.waves import array_kernels
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace, WaveAccuracy, coefficients_of
 from mitsuba_plenoptic.waves.ray_sampler import LensPoints
 
 CAMERAS = {
@@ -24,9 +25,9 @@ CAMERAS = {
 
 @pytest.mark.parametrize("name", ["discs", "three focal lengths"])
 def test_functions_have_duals_and_the_symmetry_that_is_stated(name):
-    plan = PhaseSpace(CAMERAS[name], 633.0)
+    plan = PhaseSpace.of(CAMERAS[name], 633.0)
     functions = plan.functions
-    u, v, inside = plan.aperture_grid(200)
+    u, v, inside = plan.waves.aperture_grid(200)
     own, duals = (functions.values(u[inside], v[inside], each) for each in (functions.functions, functions.duals))
     products = duals @ own.T / inside.sum()
     assert products == pytest.approx(np.eye(functions.count), abs=0.02)
@@ -39,9 +40,9 @@ def test_functions_have_duals_and_the_symmetry_that_is_stated(name):
 
 
 def test_symmetric_lenses_have_the_kernels_that_all_lags_give(monkeypatch):
-    plan = PhaseSpace(CAMERAS["discs"], 550.0, degree=2)
+    plan = PhaseSpace.of(CAMERAS["discs"], 550.0, WaveAccuracy(degree=2))
     found = plan.kernels(0.002, 0.08)
-    monkeypatch.setattr(PhaseSpace, "_symmetry", lambda *_: None)
+    monkeypatch.setattr(array_kernels, "_symmetry", lambda *_: None)
     expected = plan.moved(plan.camera).kernels(0.002, 0.08)
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
 
@@ -51,7 +52,7 @@ COUNT = 1 << 19
 
 @pytest.fixture(scope="module", params=[{}, {"mla_aperture": "circle", "mla_fill": 0.5}], ids=["cells", "discs"])
 def plan(request):
-    return PhaseSpace(PlenopticCamera(**request.param), 633.0, degree=1, radial=8)
+    return PhaseSpace.of(PlenopticCamera(**request.param), 633.0, WaveAccuracy(degree=1, radial=8))
 
 
 @pytest.fixture(scope="module")

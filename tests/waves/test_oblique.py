@@ -73,7 +73,7 @@ def fast_lens(medium: float) -> PlenopticCamera:
 def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium):
     camera, count, step = fast_lens(medium).replace(mla_fill=0.96), 1024, 0.04 * 0.96 / 128
     plan = plan_of(camera, 633.0, False, 633.0)
-    kind, b = plan.kinds[0], camera.pupil_distance
+    kind, b = plan.waves.kinds[0], camera.pupil_distance
     along = (np.arange(count) - count // 2 + 0.5) * step
     x, y = np.meshgrid(along, along)
     tilt = np.array(cosines) / math.sqrt(1 - math.hypot(*cosines) ** 2)
@@ -86,7 +86,7 @@ def test_spots_of_fast_lenses_are_those_of_an_exact_propagation(cosines, medium)
     exact = np.abs(np.fft.ifft2(spectrum * np.exp(2j * np.pi * medium * kind.distance * across))) ** 2 / inside.sum()
     # The lens alone, at the same places by a plain sum over its points.
     reach = (np.arange(160) + 0.5) / 160 * 0.04 - 0.02
-    _, field, share = plan.transmission(tuple(np.meshgrid(reach, reach)), kind, cosines)
+    _, field, share = plan.waves.transmission(tuple(np.meshgrid(reach, reach)), kind, cosines)
     own = np.where(share > 0, field, 0)
     behind = np.array(cosines) / math.sqrt(1 - (math.hypot(*cosines) / medium) ** 2)
     landing = kind.distance * LensSampler(camera, [plan]).enlargements[0] * behind

@@ -13,8 +13,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.rays.tracer import Walk
 from mitsuba_plenoptic.runtime.batches import Box, SumTask
 from mitsuba_plenoptic.waves import signed_rays
-from mitsuba_plenoptic.waves.array_kernels import REACH
-from mitsuba_plenoptic.waves.phase_space import PhaseSpace, coefficients_of
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace, WaveAccuracy, coefficients_of
 from mitsuba_plenoptic.waves.ray_sampler import Pixels
 from mitsuba_plenoptic.waves.signed_camera import (
     PARAMETERS,
@@ -67,7 +66,7 @@ class HeldRays(CameraTangents):
     def figure(self, camera):
         plan = self._nodes[0].plan
         self.other, self.table, self.total = camera, coefficients_of([plan.moved(camera)])[0], 0.0
-        samples = plan.kernel_samples(self._step, REACH * max(camera.mla_pitches))
+        samples = plan.waves.kernel_samples(self._step, plan.moved(camera).reach)
         step = self._step * camera.detector_width / self._camera.detector_width
         kernels = plan.moved(camera).sampled_kernels(step, samples, 0) / self._sampler.enlargements[0] ** 2
         self.margin = PIXELS // 2
@@ -136,7 +135,7 @@ class HeldRays(CameraTangents):
 
 @pytest.fixture(scope="module", params=MODELS.values(), ids=MODELS.keys())
 def node(request):
-    return Node(PhaseSpace(request.param, 633.0, degree=2), (0,), np.ones((1, 1)))
+    return Node(PhaseSpace.of(request.param, 633.0, WaveAccuracy(degree=2)), (0,), np.ones((1, 1)))
 
 
 def image(work):
@@ -181,7 +180,7 @@ def test_reverse_is_the_transpose_of_forward(array, changes, monkeypatch):
     monkeypatch.setattr(signed_rays, "_LANES", 2**10)
     generator = np.random.default_rng(1)
     camera = PlenopticCamera(detector_width=2 * 0.064, resolution=(16, 16), **array)
-    plans = [PhaseSpace(camera, wavelength, degree=1, window=3, radial=4) for wavelength in (500.0, 633.0)]
+    plans = [PhaseSpace.of(camera, wavelength, WaveAccuracy(1, 3, radial=4)) for wavelength in (500.0, 633.0)]
     # Two nodes of light of two values.
     nodes = [Node(plan, (0, 1), weights) for plan, weights in zip(plans, generator.normal(size=(2, 2, 2)), strict=True)]
     gradient = generator.normal(size=(16, 16, 2)).astype(np.float32)

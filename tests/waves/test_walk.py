@@ -9,7 +9,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.rays import random_numbers
 from mitsuba_plenoptic.rays.tracer import Passage, Walk, follow_back
 from mitsuba_plenoptic.waves.expansion import OF_KERNELS, ExpandedPlan, nearby
-from mitsuba_plenoptic.waves.phase_space import PhaseSpace
+from mitsuba_plenoptic.waves.phase_space import PhaseSpace, WaveAccuracy
 
 CAMERAS = {
     "square": {},
@@ -80,7 +80,7 @@ def test_paraxial_rays_are_those_of_an_ideal_camera():
 CAMERA = PlenopticCamera(
     detector_width=3 * 0.064, resolution=(96, 96), mla_medium=1.2, mla_focal_length=0.6, mla_lattice="hexagonal"
 )
-PLAN = PhaseSpace(CAMERA, 633.0, degree=1, radial=6)
+PLAN = PhaseSpace.of(CAMERA, 633.0, WaveAccuracy(degree=1, radial=6))
 STEP = CAMERA.pixel_size / 2
 
 
@@ -94,7 +94,7 @@ def test_kernels_are_those_computed_anew(name):
     camera = changed(**{name: 0.0025})
     step = STEP * camera.detector_width / CAMERA.detector_width
     before = PLAN.kernels(STEP, PLAN.reach)
-    expected = PLAN.moved(camera).sampled_kernels(step, PLAN.kernel_samples(STEP, PLAN.reach))
+    expected = PLAN.moved(camera).sampled_kernels(step, PLAN.waves.kernel_samples(STEP, PLAN.reach), 0)
     apart = np.linalg.norm(ExpandedPlan.about(PLAN, camera).kernels(step, PLAN.reach) - expected)
     assert apart < min(0.001 * np.linalg.norm(before), 0.05 * np.linalg.norm(before - expected))
 

@@ -304,7 +304,7 @@ class ResponseCapture(SignedCapture):
         """Return the wavelengths at which the response tables are computed."""
         nodes = [
             Node(_plan(self.camera.at_wavelength(wavelength), wavelength, self.accuracy < FINE), channels, weights)
-            for wavelength, channels, weights in self.node_weights(self.camera)
+            for wavelength, channels, weights in self.weights
         ]
         nodes[0].plan.require_memory(len(nodes))
         return nodes

@@ -147,7 +147,7 @@ def walls(
     many points and cells across a pixel (``parts``) as a camera needs are taken where none are given.
     """
     for name, camera in pick(CAMERAS, cameras).items():
-        per_lens, cells = points or points_of(camera), parts or PhaseSpace(camera, WAVELENGTH).parts(finer)
+        per_lens, cells = points or points_of(camera), parts or PhaseSpace.of(camera, WAVELENGTH).parts(finer)
         plan, planning, _ = once(lambda c=camera, n=cells: planned(c, finer, n))
         memory = sum(part.nbytes for part in plan.table) / 2**20
         own = LIMITS.get(name, (MOST, MOST))[off_axis != 0]
