@@ -195,7 +195,7 @@ def reconstruct(
         if reference is not None:
             reference = as_reference(reference, capture, tilted, recorded, as_recorded)
         report = _reports(chosen, progress, sizes)
-        works = _works(chosen, capture)
+        works = _works(chosen, capture, len(distances), settings)
         computed = None
         # Responses by rays have the white image of rays, and Fourier microscopes have none.
         if reference is None and not chosen.as_it_is:
@@ -274,12 +274,18 @@ def _resolutions(
     return facts
 
 
-def _works(chosen: RegisteredMethod, capture: Capture) -> list[int]:
+def _works(chosen: RegisteredMethod, capture: Capture, planes: int, settings: dict[str, Any]) -> list[float]:
     """Return the amounts of work of the white image and of the method."""
     if capture.model != "wave":
         return [0, 1]
-    # A white image by waves takes longer than sums over bins, as long as a response, and a fifth of a deconvolution.
-    return [1, 5 if chosen.long else 1] if chosen.as_it_is else [4, 1]
+    if chosen.as_it_is:
+        # A white image by waves takes as long as a response, and a fifth of a deconvolution.
+        return [1, 5 if chosen.long else 1]
+    # Approximate seconds of the processor; "auto" takes as long as twenty subsets of lenses.
+    period = settings.get("interleave", 1)
+    subsets = 20 if period == "auto" else period**2
+    size = capture.image.size
+    return [1.0 + 7e-7 * size, planes * size * (1.2e-7 * subsets if chosen.waves else 5e-8)]
 
 
 def _reports(chosen: RegisteredMethod, progress: Progress | None, sizes: Sequence[float]) -> Callable[[float], None]:

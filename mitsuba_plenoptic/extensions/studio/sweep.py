@@ -157,8 +157,8 @@ class Points:
         for wavelength in self.axes.get(WAVELENGTH, ()):
             require_wavelength(wavelength)
         method = registered(self._method)
-        # A reconstruction takes as long as some captures, or a part of one.
-        of_image = 8.0 if method.long else 1.0 if method.waves else 0.1
+        # Approximate microseconds of a pixel of an image, and of a sample of one.
+        of_image = 15.0 if method.long else 1.0 if method.waves else 0.3
         sizes: dict[str, tuple[int, ...]] = {}
         for point in self:
             spec = self.spec(point)
@@ -167,14 +167,17 @@ class Points:
                 by_waves = is_wave_capture(scene, spec.model)
                 if not by_waves:
                     refuse_by_rays(resume=self._store.resume or None, **for_waves)
-                camera = PlenopticCamera.from_sensor(scene.sensors()[0])
+                sensor = scene.sensors()[0]
+                camera = PlenopticCamera.from_sensor(sensor)
+                samples = spec.spp or sensor.sampler().sample_count()
                 sizes[key] = camera.shape + (camera.bin_count if self.distances else ())
                 for distance in self.distances:
                     lens_data.image_distance(camera.focal_length, distance, name=DISTANCE)
             pixels = float(math.prod(sizes[key][:2]))
-            # The first image waits for the white one.
-            white = 0.5 * by_waves
-            self._work += [pixels, *[(of_image + white * (not index)) * pixels for index in range(len(self.distances))]]
+            # Diffraction is planned first, and before the first image there is the white one, of a second each.
+            capture = (1.0 if by_waves else 0.6) * samples * pixels + 1e6 * by_waves
+            images = [of_image * pixels + 1e6 * by_waves * (not index) for index in range(len(self.distances))]
+            self._work += [capture, *images]
         self.largest = tuple(map(max, zip(*sizes.values(), strict=True)))
 
     def compute(self, batch_map: BatchMap | None) -> Iterator[tuple[Capture, list[Array]]]:
