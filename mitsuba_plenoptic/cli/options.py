@@ -121,14 +121,15 @@ def ends_in(*suffixes: str, is_folder: bool = False) -> Callable[..., Any]:
     return callback
 
 
-def nanometres_of_channels(name: str, text: str) -> None:
-    """Refuse a text that is neither a wavelength nor several."""
+def wavelengths_of(text: str, name: str = "wavelength") -> float | list[float]:
+    """Return the wavelength that a text has, or those of several channels; refuse other texts."""
     with refusing(
         f"{name} = {short_repr(text)}: it must be nanometres, or three of them separated by commas", ValueError
     ):
         wavelengths = [float(wavelength) for wavelength in text.split(",")]
     for wavelength in wavelengths:
         require_wavelength(wavelength, name)
+    return wavelengths if len(wavelengths) > 1 else wavelengths[0]
 
 
 def require_file(name: str, path: Path) -> None:
@@ -186,6 +187,7 @@ Positive = Annotated[float, checked(partial(require_number, positive=True))]
 PositiveOrInfinite = Annotated[float, checked(partial(require_number, positive=True, finite=False))]
 Distances = Annotated[list[float], checked(partial(require_number, finite=False))]
 Wavelength = Annotated[float, checked(lambda name, value: require_wavelength(value, name))]
+Wavelengths = Annotated[str, checked(lambda name, text: wavelengths_of(text, name))]
 Variant = Annotated[str, VARIANT, EXPERT]
 Seed = Annotated[int, checked(partial(require_count, minimum=0))]
 Workers = Annotated[int, EXPERT]

@@ -47,7 +47,7 @@ def reconstruct(
     distance: options.Distances,
     output: Annotated[Path, options.ends_in(*PICTURES, *VOLUMES)] | None = None,
     method: options.Method = "ray",
-    wavelength: Annotated[options.Wavelength, options.WAVES] | None = None,
+    wavelength: Annotated[options.Wavelengths, options.WAVES] | None = None,
     camera: options.CameraFile | None = None,
     linear: bool = False,
     oversample: options.Count = 1,
@@ -79,7 +79,7 @@ def reconstruct(
         lenses; or by this camera's point spreads: incoherent weighs the capture with that of each bin, deconvolved
         finds the plane whose capture it is.
     wavelength : NM
-        Of waves: wavelength in nanometres. Default: the capture's.
+        Of waves: wavelength in nanometres; of three channels three, as 611,549,464. Default: the capture's.
     oversample
         Bins per microlens along each axis; info prints what suits.
 
@@ -110,7 +110,7 @@ def reconstruct(
     arguments = used_by(
         chosen,
         white=white,
-        wavelength=wavelength,
+        wavelength=wavelength and options.wavelengths_of(wavelength),
         **{name: _value_of(option, of_method[name]) for name, option in all_options().items()},
         resume=resume or None,
         workers=workers,

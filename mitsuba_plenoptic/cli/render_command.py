@@ -25,7 +25,7 @@ def render(
     model: Model | None = None,
     spp: options.Count | None = None,
     seed: options.Seed = 0,
-    wavelength: Annotated[str, options.checked(options.nanometres_of_channels)] | None = None,
+    wavelength: options.Wavelengths | None = None,
     bandwidth: float | None = None,
     responses: str | None = None,
     method: str | None = None,

@@ -28,6 +28,7 @@ from .radiance import white_pixels as white_pixels
 from .radiance import white_sums as white_sums
 from .results import Reconstruction as Reconstruction
 from .results import Volume as Volume
+from .results import header_of as header_of
 from .results import read_reconstruction as read_reconstruction
 from .results import require_volume_path as require_volume_path
 from .results import write_reconstruction as write_reconstruction

@@ -89,7 +89,12 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
     source : dict, optional
         Metadata of the capture, which are written to the header.
     """
-    attributes = {
+    write_exr(path, result.image, header_of(result, source or {}))
+
+
+def header_of(result: Reconstruction, source: dict[str, Any]) -> dict[str, Any]:
+    """Return what the header of a reconstruction's file holds, with the metadata of the capture."""
+    return {
         "kind": "reconstruction",
         "camera": result.camera.to_dict(),
         "distance": result.distance,
@@ -98,9 +103,8 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
         "options": result.options,
         "guards": result.guards,
         "facts": result.facts,
-        "source": source or {},
+        "source": source,
     }
-    write_exr(path, result.image, attributes)
 
 
 def read_reconstruction(path: str | Path) -> Reconstruction:

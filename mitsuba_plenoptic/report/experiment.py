@@ -22,7 +22,7 @@ from ..extension import hook
 from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
-from ..refocus import Reconstruction, reconstruct, require_distances
+from ..refocus import Reconstruction, header_of, reconstruct, require_distances
 from ..runtime import Array, Progress, in_words
 from ..scene import pass_counts
 from .images import luminance
@@ -524,8 +524,8 @@ def refocused(
         if not results:
             together = reconstruct(capture, list(distances), progress=progress, **options)
             results.update({result.distance: result for result in together})
-        facts = {"distance": distance, "bin_size": results[distance].bin_size, **options}
-        return results[distance].image, {"kind": "reconstruction", "camera": capture.camera.to_dict(), **facts}
+        result = results[distance]
+        return result.image, header_of(result, capture.metadata)
 
     images = {}
     for distance in distances:

@@ -44,6 +44,8 @@ def main_lens_figure(lens: RealLens, distance: float, cell: float = 0.0) -> Plot
         _spot(axes, field, cell)
         axes.axis((-1.1 * largest, 1.1 * largest) * 2)
     scale_bar(spots[0], 2200 * largest, below=True, unit="um")
+    if cell:
+        spots[-1].set_xlabel(f"squares: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)
     spots[-1].legend(fontsize=6, loc="upper left", bbox_to_anchor=(1, 1), frameon=False, markerscale=4, handletextpad=0)
     heights = lens.corner * np.linspace(0, 1, 13)
     fields = field_figures(lens, heights.tolist(), distance, [])
@@ -112,4 +114,3 @@ def _spot(axes: Axes, field: FieldFigures, cell: float) -> None:
     if cell:
         corners = np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
         axes.plot(*corners * cell / 2, color=INK, lw=0.6)
-        axes.set_xlabel(f"square: a microlens, {1e3 * cell:.3g} um", size=7, color=INK)

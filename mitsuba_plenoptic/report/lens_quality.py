@@ -45,8 +45,8 @@ class FieldFigures:
     light : float
         Open area of the exit pupil over the open area on the axis.
     distortion : float
-        Displacement of a point's image away from the axis, by its chief ray against paraxial optics, over its distance;
-        NaN where all is dark.
+        Displacement of a point's image away from the axis, by its chief ray against paraxial optics in the same plane,
+        over its distance; NaN where all is dark.
     colour : float or None
         Difference in image height in millimetres between chief rays of the lines F and C; None of glasses without them.
     transfer : float64 array (2, n)
@@ -90,6 +90,9 @@ def field_figures(
     reaches = [surface.glass.reach for surface in prescription.surfaces if surface.glass is not None]
     in_colour = prescription.disperses and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
     axis = _open_area(lens, 0.0) or 1.0
+    # Height over the tangent of the field near the axis; out of focus it is no longer the focal length.
+    near_axis = 1e-3 * lens.corner
+    scale = -near_axis / chief(lens, near_axis, distance)[0]
     figures = []
     for height in heights:
         light = _open_area(lens, height) / axis
@@ -102,7 +105,7 @@ def field_figures(
                 height,
                 {line: _rays(lens, height, distance, line) if light else _DARK for line in wavelengths},
                 light,
-                -height / (lens.mla_distance * middle) - 1 if height else 0.0,
+                -height / (scale * middle) - 1 if height else 0.0,
                 # What is seen farther out from the same position is imaged nearer to the axis.
                 lens.mla_distance * (seen[1] - seen[0]) if seen else None,
                 _transfer(lens, height, distance, frequencies)

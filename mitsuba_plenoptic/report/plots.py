@@ -433,7 +433,9 @@ def _sheet(
     wide = (right - left - (columns - 1) * _GAP) / columns
     tall = wide * images[0].shape[0] / images[0].shape[1]
     between = _LINE if any(panel.title for panel in panels[columns:]) else _GAP
-    foot = (_LINE if stated else _GAP) + (_LINE if has_bars and below else 0.0)
+    # In a narrow figure each text has a line of its own.
+    text = ("\n" if columns < 3 else "; ").join(stated)
+    foot = (_LINE * (1 + text.count("\n")) if stated else _GAP) + (_LINE if has_bars and below else 0.0)
     height = _LINE + rows * tall + (rows - 1) * between + foot
     plot = Plot(across, height, PRINT_DPI)
     plot.set_layout_engine("none")
@@ -451,7 +453,7 @@ def _sheet(
     for axes in grid[len(panels) :]:
         axes.remove()
     if stated:
-        plot.supxlabel("; ".join(stated), x=left / across, ha="left", size=_TEXT, color=INK)
+        plot.supxlabel(text, x=left / across, y=0.2 * _LINE / height, ha="left", va="bottom", size=_TEXT, color=INK)
     if grey:
         values = np.concatenate([image.ravel() for image in images])
         where = plot.add_axes(

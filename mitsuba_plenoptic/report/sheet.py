@@ -324,7 +324,7 @@ def _refocusing(camera: PlenopticCamera, wavelength: float | None) -> _Lines:
         at = f"at {distance:.4g} mm"
         rows += [
             ("bin size", f"{camera.bin_size(distance):.4g}", "mm", at),
-            ("blur diameter", f"{camera.blur_diameter(distance):.4g}", "mm", f"{at}, on the MLA"),
+            ("blur diameter", f"{round(camera.blur_diameter(distance), 12):.4g}", "mm", f"{at}, on the MLA"),
         ]
     return rows
 
