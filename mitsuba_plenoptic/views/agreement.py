@@ -8,6 +8,7 @@ import xarray as xr
 
 from ..runtime import Array
 from .coordinates import channel_planes, grid_of, view_steps
+from .pupil_means import LEAST_LIGHT, pupil_means
 from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
@@ -15,6 +16,10 @@ _WINDOW = 0.85
 
 # Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
+
+# Samples that see at least this much of the pupil take part. The others see it much nearer to its middle than their
+# coordinate says.
+LEAST_WEIGHT = 0.9
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array, Array]:
@@ -108,11 +113,8 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, A
     Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
     Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
     """
-    # Samples that see at least this much of the pupil take part. The others see it nearer to its middle than their
-    # coordinate says, which would pull depths towards the plane in focus.
-    weight = (lf["weight"].values >= 0.9).astype(np.float32)
-    v = _places(lf, "v")
-    u = _places(lf, "u")
+    v, u, compared = _places(lf, slope)
+    weight = ((lf["weight"].values >= LEAST_WEIGHT) & compared[..., None, None]).astype(np.float32)
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
@@ -149,17 +151,28 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, A
     return variance / channels, mean / channels, views / channels, noise
 
 
-def _places(lf: xr.DataArray, axis: str) -> Array:
-    """Return the mean point at which each view sees the pupil, in views from the centre, nearer to brighter views."""
-    steps = view_steps(lf, axis)
+def _places(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array]:
+    """Return the mean points at which views along v, and along u, see the pupil, in views from the centre.
+
+    They are nearer to brighter views than what is known of the camera makes them.
+    """
+    places = [view_steps(lf, axis) for axis in "vu"]
     if min(lf.shape[:2]) < 3:
-        return steps
-    light, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")) for name in ("white", "weight"))
-    rise = np.gradient(np.log(light / seen), axis="vu".index(axis), edge_order=2)
-    across = "uv".index(axis)
-    return steps + spread_of_samples(lf, across) * np.nansum(rise, axis=across) / np.maximum(
-        np.isfinite(rise).sum(axis=across), 1
-    )
+        return places[0], places[1], np.ones(lf.shape[:2], bool)
+    spread = [spread_of_samples(lf, across) for across in (0, 1)]
+    white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
+    moved_by = np.zeros((2, *seen.shape))
+    if lf.attrs.get("camera"):
+        means, seen = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
+        moved_by = means[::-1] - np.stack(np.meshgrid(*places, indexing="ij"))
+    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST_WEIGHT) & (seen >= LEAST_LIGHT * seen.max())
+    for axis, place in enumerate(places):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rise = np.gradient(np.log(white / seen), axis=axis, edge_order=2)
+        part = compared & np.isfinite(rise)
+        moved_by[axis] += spread[1 - axis] * np.where(part, rise, 0)
+        place += (moved_by[axis] * part).sum(1 - axis) / np.maximum(part.sum(1 - axis), 1)
+    return places[0], places[1], compared
 
 
 def spread_of_samples(lf: xr.DataArray, across: int) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, advice, refuse_if, refusing, require_number, short_repr
+from ..errors import InputError, advice, refuse_if, refusing, require_number, require_wavelength, short_repr
 from ..optics import rays
 from ..prescription import image_distance
 from ..runtime import MILLIMETRES, Array, require_pixels, require_units
@@ -152,6 +152,11 @@ def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
 def grid_of(lf: xr.DataArray) -> LensGrid | None:
     """Return the grid of micro-images from which a light field was decoded, None if unknown."""
     return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
+
+
+def wavelength_of(lf: xr.DataArray) -> float | None:
+    """Return the wavelength in nanometres at which a light field's lenses diffract, None for one by rays."""
+    return require_wavelength(json.loads(lf.attrs["wavelength"])) if lf.attrs.get("wavelength") else None
 
 
 def stated_disparities(lf: xr.DataArray) -> tuple[float, float] | None:

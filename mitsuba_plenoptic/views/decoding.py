@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from dataclasses import replace
 from functools import partial
@@ -20,7 +21,7 @@ from ..runtime import Floats, Progress, as_pixels, require_memory
 from .coordinates import DIMS, light_field
 from .fourier_views import decode_views
 from .grid import LensGrid, array_places, bin_grid, lens_grid
-from .model_white import capture_white
+from .model_white import capture_white, wavelength_of_light
 from .white import clear, divide_by_white, open_fraction, recorded_white, white_image
 
 
@@ -80,6 +81,7 @@ def decode(
     >>> dict(lf.sizes)
     {'v': 11, 'u': 11, 't': 48, 's': 48}
     """
+    capture = read_if_path(capture, camera)
     image, reference, seen, camera = checked_images(capture, camera, white, grid, progress)
     if camera is not None and camera.lens_data.images_stop:
         for name, argument in (("grid", grid), ("truth", truth)):
@@ -120,6 +122,8 @@ def decode(
         for of_bins in (light, divisor, weight)
     )
     lf = light_field(light if light.shape[-1] == 3 else light[..., 0], weight, camera, bins, lenses, divisor)
+    if isinstance(capture, Capture) and (wavelength := wavelength_of_light(capture)):
+        lf.attrs["wavelength"] = json.dumps(wavelength)
     if truth is None:
         return lf
     planes = {TRUTH_COORDINATES[name]: plane for name, plane in channel_planes(truth.views).items()}
@@ -201,8 +205,8 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     views = math.inf
     if camera is not None:
         radius = camera.aperture_radius / camera.pupil_step
-        # Where micro-images do not touch, there is room beyond half the distance to the next lens.
-        reach = max(reach, lenses.nearest_distance - radius)
+        # A lens is alone up to where the micro-image of the next one begins.
+        reach = lenses.nearest_distance - radius
         views = math.ceil(radius - 0.5 - _ROUNDING)
     # A sample mixes the pixels whose centres lie within one pixel of it.
     reach = max(reach - 1, 0) + _ROUNDING

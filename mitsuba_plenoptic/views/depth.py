@@ -16,6 +16,7 @@ from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
 from ..errors import LONGEST, InputError, require_count, require_number, suggest_keywords
 from ..fields import OpticalSystem
+from ..lenses import undistort
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import finer_stripes, spread_of_samples, view_disagreement
 from .coordinates import (
@@ -30,6 +31,7 @@ from .coordinates import (
 from .lens_agreement import LensComparison, light_of_lens
 from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
+from .pupil_means import narrowed
 from .refocusing import shift_and_add
 from .repetition import wrong_by_repetition
 
@@ -207,12 +209,15 @@ def _off(lf: xr.DataArray, disparities: Array) -> Array:
     """Return the deviations of errors that depths of these disparities have whatever the noise, over the tolerance.
 
     Of an unfocused camera, shifts of less than a quarter of a lens at the pupil's rim are found up to a twentieth too
-    small; over a whole lens, deviations cancel.
+    small; over a whole lens, deviations cancel. By how much blur narrows the pupil is known to a third.
     """
     camera = camera_of(lf)
     steps = view_steps(lf, "u").max()
     moved = np.abs(disparities) * steps
-    off = _OFF * moved if is_focused(lf) else 0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25)
+    if is_focused(lf):
+        off = _OFF * moved
+    else:
+        off = np.hypot(0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25), narrowed(lf) / 3 * moved)
     # What moves as far as the tolerance, in lenses at the pupil's rim; infinity is right.
     right = RIGHT * camera.mla_distance / distance_of(lf, disparities) * camera.pupil_step / camera.row_pitch * steps
     return np.divide(off, right, out=np.zeros_like(off), where=right > 0)
@@ -258,7 +263,14 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
         slope = (slope + aside) / (1 + aside * np.mean([camera.pupil_shift(f2) for f2 in camera.mla_focal_lengths]))
     if camera.lens_model != "ideal" or camera.wavefront or camera.phase_screen is not None:
         slope -= np.interp(radius, radii, _aberrated(lf, radii))
-    return -(slope - height / (camera.pupil_distance - height)) * size
+    slope -= height / (camera.pupil_distance - height)
+    if any(camera.distortion):
+        # Lenses see as others without distortion, farther apart by the mean of the map's slopes along x and y.
+        step = 1e-4 * camera.detector_width
+        wide, tall = (undistort(x + dx, y + dy, camera.distortion) for dx, dy in ((step, 0), (0, step)))
+        narrow, low = (undistort(x - dx, y - dy, camera.distortion) for dx, dy in ((step, 0), (0, step)))
+        slope *= (wide[0] - narrow[0] + tall[1] - low[1]) / (4 * step)
+    return -slope * size
 
 
 def _preferred(camera: PlenopticCamera, radius: float) -> float:

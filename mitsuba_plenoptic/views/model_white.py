@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera, has_small_lenses, once_a_camera
 from ..detector import DetectorOperator
 from ..errors import InputError, warn
 from ..extension import hook
-from ..io import Capture, mosaic_of, recording_of
+from ..io import RECORDED, Capture, mosaic_of, recording_of
 from ..optics import Spectrum, guards
 from ..runtime import DEFAULT_VARIANT, Floats, Job, Progress, set_variant
 from .white import white_image
@@ -53,6 +53,17 @@ def wave_white(capture: Capture, channels: int, progress: Progress | None = None
 def white_pixels(camera: PlenopticCamera) -> Floats:
     """Return the white image (rows, columns) of a camera by rays, as bright as its pixels' response leaves it."""
     return white_image(camera).astype(np.float32)
+
+
+def wavelength_of_light(capture: Capture) -> float | None:
+    """Return the mean wavelength in nanometres of a capture's light, of a real camera's 550; None of one by rays."""
+    if RECORDED in capture.metadata:
+        return 550.0
+    if capture.model != "wave":
+        return None
+    channels = capture.image.shape[2] if capture.image.ndim == 3 else 1
+    spectrum = _spectrum_of(capture, channels)
+    return float(np.average(spectrum.wavelengths, weights=np.abs(spectrum.matrix()).sum(0)))
 
 
 def _spectrum_of(capture: Capture, channels: int) -> Spectrum:

@@ -111,7 +111,7 @@ def test_what_is_not_known_is_hatched():
     assert hatched(panel) and panel.images[0].get_array().mask.sum() == 1
     colours = np.repeat(image[..., None], 3, axis=2)
     figure = plots.contact_sheet([result(image=colours)], 0.75)
-    assert figure.get_supxlabel() == "white: radiance 0.75; bars: lengths at the distance of each image"
+    assert figure.get_supxlabel() == "white: radiance 0.75\nbars: lengths at the distance of each image"
     panel = figure.axes[0]
     alpha = panel.images[0].get_array()[..., 3]
     assert hatched(panel) and alpha[0, 0] == 0 and alpha.sum() == 255 * 63

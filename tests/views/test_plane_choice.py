@@ -148,12 +148,13 @@ MULTI_FOCUS = mp.PlenopticCamera.preset("raytrix").replace(detector_width=2.64, 
 BLURRED = mp.PlenopticCamera(detector_width=1.536, resolution=(384, 384), **FOCUSED)
 
 
-def wall(distance, camera, pattern=None, spp=16):
+def wall(distance, camera, pattern=None, spp=16, **options):
     random = gaussian_filter(np.random.default_rng(1).normal(size=(256, 256)), 1.0, mode="wrap")
     pattern = np.clip(0.5 + 0.25 * random / random.std(), 0.02, 0.98) if pattern is None else pattern
     texture = {"type": "bitmap", "raw": True, "data": mi.TensorXf(pattern[..., None].astype(np.float32))}
     card = facing(distance, 14.0, bsdf={"type": "diffuse", "reflectance": texture})
-    return mp.render_capture(scene_of(camera.to_sensor(), "direct", sky={"type": "constant"}, card=card), spp=spp)
+    scene = scene_of(camera.to_sensor(), "direct", sky={"type": "constant"}, card=card)
+    return mp.render_capture(scene, spp=spp, **options)
 
 
 def test_light_that_rises_evenly_is_not_sure():
@@ -180,6 +181,20 @@ def test_lenses_out_of_focus_do_not_move_depths(distance=221):
     lf = mp.decode(capture)
     found = depth_map(lf, micro_images=micro_images(capture)).isel(s=slice(5, -5), t=slice(5, -5))
     assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
+
+
+@pytest.mark.parametrize(("model", "changes"), [
+    ("wave", {}), ("ray", {"detector_blur": 0.004}), ("ray", {"distortion": (-0.03, 0, 0, 0, 0)}),
+    ("ray", {"aperture_radius": 4.1}),
+])  # fmt: skip
+def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, changes):
+    """A spot's middle is 0.9 pixels from its first zero."""
+    camera = mp.PlenopticCamera(focal_length=42, **{
+        "aperture_radius": 2.9, "focus_distance": 350, "mla_pitch": 0.05, "mla_focal_length": 0.35,
+        "detector_width": 0.9, "resolution": (216, 216),
+    } | changes)  # fmt: skip
+    lf = mp.decode(wall(600, camera, np.random.default_rng(1).random((32, 32)), model=model))
+    assert abs(np.median(depth_map(lf).depth[3:-3, 3:-3]) / 600 - 1) < 0.004
 
 
 # Where lenses are sharp before the array, and where the card's image is, in detector distances; its texture in lenses;
