@@ -271,9 +271,9 @@ def _half_width(across: Doubles, line: Doubles) -> float:
     offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int).ravel()
     least = offset.min()
     count = np.bincount(offset - least)
-    seen = count >= 0.5 * len(line)
-    profile = np.abs(np.bincount(offset - least, across.ravel()) / count)[seen]
-    middle = int(np.argmin(np.abs(np.flatnonzero(seen) + least)))
+    covered = count >= 0.5 * len(line)
+    profile = np.abs(np.bincount(offset - least, across.ravel()) / count)[covered]
+    middle = int(np.argmin(np.abs(np.flatnonzero(covered) + least)))
     first = max(middle - _LEAST_REACH, 0)
     peak = first + int(np.argmax(profile[first : middle + _LEAST_REACH + 1]))
     widest = 0
