@@ -184,7 +184,7 @@ class CoreParameters:
             "Arrangement of the microlenses, see `mitsuba_plenoptic.array`. ``square``: the corner of four lenses "
             "is on the axis. ``hexagonal``: rows along x, every second one offset by half a pitch; the centre of a "
             "lens is on the axis. Either covers the whole plane. ``none``: an ordinary camera without an array, whose "
-            "detector is at `mla_distance`; it takes no parameter of an array or of its pixels' optics."
+            "detector is at `mla_distance`; it takes no parameter of an array."
         ),
         form=Form.WORD,
         takes='{"square", "hexagonal", "none"}',

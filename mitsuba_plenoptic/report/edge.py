@@ -161,7 +161,7 @@ def _measure(image: Doubles) -> EdgeSharpness:
     reach = min(max(float(_REACH), 2 * extent), line.min(), image.shape[1] - 1 - line.max()) * math.cos(math.atan(tilt))
     least = _LEAST_REACH if extent == _LEAST_REACH else 1.3 * extent
     refuse_if(reach < least, f"image: its edge is nearer than {least:.3g} pixels to the border")
-    return _across(image[index], line, tilt, int(index[0]), reach, _KNOTS * _LEAST_REACH / extent)
+    return _across(image[index], line, tilt, int(index[0]), reach, _KNOTS * _LEAST_REACH / extent, 2 * extent)
 
 
 def window_sharpness(image: Doubles) -> EdgeSharpness:
@@ -201,11 +201,12 @@ def square_sharpness(image: Doubles, row: float, column: float, side: float) -> 
     return statistics.median(edge.width for edge in edges), statistics.median(edge.mtf50 for edge in edges)
 
 
-def _across(image: Doubles, line: Doubles, tilt: float, first: int, reach: float, knots: float) -> EdgeSharpness:
+def _across(
+    image: Doubles, line: Doubles, tilt: float, first: int, reach: float, knots: float, foot: float = math.inf
+) -> EdgeSharpness:
     """Return the sharpness of an edge along a line with a column in each row, of which the first has an index."""
     distance = (np.arange(image.shape[1]) - line[:, None]) / math.hypot(1, tilt)
-    near = np.abs(distance) <= reach
-    width, transfer = _transfer(distance[near], image[near], reach, knots)
+    width, transfer = _transfer(distance.ravel(), image.ravel(), reach, knots, foot)
     return EdgeSharpness(
         row=first + (len(line) - 1) / 2,
         column=float(line[0] + line[-1]) / 2,
@@ -270,9 +271,9 @@ def _half_width(across: Doubles, line: Doubles) -> float:
     offset = np.round(np.arange(across.shape[1]) - line[:, None]).astype(int).ravel()
     least = offset.min()
     count = np.bincount(offset - least)
-    seen = count >= 0.5 * len(line)
-    profile = np.abs(np.bincount(offset - least, across.ravel()) / count)[seen]
-    middle = int(np.argmin(np.abs(np.flatnonzero(seen) + least)))
+    covered = count >= 0.5 * len(line)
+    profile = np.abs(np.bincount(offset - least, across.ravel()) / count)[covered]
+    middle = int(np.argmin(np.abs(np.flatnonzero(covered) + least)))
     first = max(middle - _LEAST_REACH, 0)
     peak = first + int(np.argmax(profile[first : middle + _LEAST_REACH + 1]))
     widest = 0
@@ -285,21 +286,37 @@ def _half_width(across: Doubles, line: Doubles) -> float:
     return float(widest)
 
 
-def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) -> tuple[float, Doubles]:
+def _transfer(distance: Doubles, values: Doubles, reach: float, density: float, foot: float) -> tuple[float, Doubles]:
     """Return the width of an edge, and the transfer function, from pixels at distances from its line.
 
-    The profile is a spline with a density of knots in a pixel.
+    The profile is a spline with a density of knots in a pixel. Diffraction spreads light with the inverse square of the
+    distance, of which percents lie beyond the reach: its strength is fitted to pixels beyond the foot of the edge.
     """
     order = np.argsort(distance)
     distance = distance[order]
     values = values[order]
-    low = float(values[distance < -0.7 * reach].mean())
-    high = float(values[distance > 0.7 * reach].mean())
+    tail = 0.0
+    sides = (-distance, distance)
+    low, high = (values[(side > 0.7 * reach) & (side <= reach)].mean() for side in sides)
+    if min(-distance[0], distance[-1]) > 2.5 * foot:
+        outer = [(side > foot) & (side < 5 * foot) for side in sides]
+        # Of each side height, uneven light, and the tail, which both sides of an edge have.
+        (left, _, rise), (right, _, fall) = (
+            np.linalg.lstsq(np.power.outer(side[far], (0.0, 1.0, -1.0)), values[far])[0]
+            for side, far in zip(sides, outer, strict=True)
+        )
+        tail = max(min(rise / (right - left), fall / (left - right)), 0.0)
+        if tail:
+            low, high = left, right
+    near = np.abs(distance) <= reach
+    distance = distance[near]
+    values = values[near]
     refuse_if(
         not abs(high - low) > 0.1 * np.abs(values).max(), "image: it has no edge: both sides of its line are alike"
     )
     # It takes half a second to load, and most scenes have no edge.
     from scipy.interpolate import make_lsq_spline
+    from scipy.special import sici
 
     step = (values - low) / (high - low)
     _refuse_saturated(step, values)
@@ -314,9 +331,11 @@ def _transfer(distance: Doubles, values: Doubles, reach: float, density: float) 
     width = fine[middle + np.argmax(rising[middle:] >= 0.9)] - fine[middle + 1 - np.argmax(rising[middle::-1] < 0.1)]
     # Flat over the middle, so that it does not widen the spread; noise far from the edge is faded out.
     fade = np.clip((reach - np.abs(fine)) / (0.4 * reach), 0, 1)
-    spread = profile.derivative()(fine) * np.sin(0.5 * math.pi * fade) ** 2
-    waves = np.exp(-2j * math.pi * _FREQUENCIES[:, None] * fine)
-    spectrum = np.abs(waves @ spread)
+    fade = np.sin(0.5 * math.pi * fade) ** 2
+    spread = profile.derivative()(fine) * fade + tail * (1 - fade) / np.maximum(fine**2, 1)
+    turns = 2 * math.pi * _FREQUENCIES
+    beyond = 2 * tail * (np.cos(turns * reach) / reach - turns * (0.5 * math.pi - sici(turns * reach)[0]))
+    spectrum = np.abs(np.exp(-1j * turns[:, None] * fine) @ spread * (fine[1] - fine[0]) + beyond)
     return float(width), spectrum / spectrum[0]
 
 

@@ -13,7 +13,7 @@ import yaml
 
 from ...errors import naming
 from ...report import images, plots
-from ...runtime import Array, BatchMap, Progress, h5py_module, locked, remove_leftovers, set_variant, write_text
+from ...runtime import Array, BatchMap, Progress, h5py_module, locked, remove_leftovers, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
 from .shards import (
@@ -92,7 +92,6 @@ def make_dataset(
     # Before the first sample is rendered, which needs it not before it is written.
     h5py_module("a data set")
     folder = Path(folder).absolute()
-    set_variant(recipe.variant)
     _try_scenes(recipe)
     with locked(folder / LOCK, f"{folder}: another process is making this data set"):
         layout = claim(folder, recipe)
@@ -195,13 +194,17 @@ the rays that `decode` makes samples of.
 
 ## Reading
 
-```python
-from mitsuba_plenoptic.dataset import DataSet
-from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset  # pip install torch
+In this folder:
 
-sample = DataSet("{folder}")[0]
-light_field = mitsuba_plenoptic.decode(sample.capture("{model}"), truth=sample.truth)
-loader = torch.utils.data.DataLoader(TorchDataset("{folder}", {arrays}), batch_size=8, shuffle=True)
+```python
+import mitsuba_plenoptic as mp
+import torch  # pip install torch
+from mitsuba_plenoptic.dataset import DataSet
+from mitsuba_plenoptic.extensions.data.torch_data import TorchDataset
+
+sample = DataSet(".")[0]
+light_field = mp.decode(sample.capture("{model}"), truth=sample.truth)
+loader = torch.utils.data.DataLoader(TorchDataset(".", {arrays}), batch_size=8, shuffle=True)
 ```
 
 ## What it is good for, and what not
@@ -247,7 +250,6 @@ def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
         version=software.pop("mitsuba_plenoptic"),
         preview=PREVIEW,
         table="\n".join(lines),
-        folder=recipe.name,
         model=model,
         arrays=json.dumps([*pair, "lens_depth"] if "lens_depth" in names else [model, *({"depth"} & set(names))]),
         recipe=yaml.safe_dump(data_set.manifest["recipe"], sort_keys=False, allow_unicode=True),

@@ -68,7 +68,7 @@ class Illumination:
 
     # Radiance from everywhere, from 0 to 1e6.
     sky: float = 0.5
-    # Irradiance, over pi, that a small lamp makes on what faces it in the middle of the scene, from 0 to 1e6.
+    # Irradiance, over pi, that a small lamp makes on what faces it, on the axis at 2 / (1 / near + 1 / far); 0 to 1e6.
     lamp: float = 0.5
 
     def __post_init__(self) -> None:

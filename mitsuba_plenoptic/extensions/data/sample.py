@@ -12,7 +12,7 @@ from ...capture_spec import CaptureSpec
 from ...detector import expose
 from ...io import Capture, GroundTruth, versions
 from ...plugins.other_camera import with_camera
-from ...runtime import Array, Progress
+from ...runtime import Array, Progress, set_variant
 from ...scene import load_scene, render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
@@ -86,11 +86,13 @@ class Sample:
 def open_sample(recipe: Recipe, plan: SamplePlan) -> Any:
     """Return the scene of a sample, loaded or generated, with the sample's camera; None for what is no scene."""
     source = recipe.scenes[plan.source]
+    # Before the generator, whose textures are arrays of the variant.
+    set_variant(recipe.variant)
     if isinstance(plan.maker, CaptureGenerator):
         return None
     if plan.maker:
         random = random_of_scene(recipe, plan)
-        scene = load_scene(plan.maker.scene(plan.camera, plan.light, random), variant=recipe.variant)
+        scene = load_scene(plan.maker.scene(plan.camera, plan.light, random))
         scene.set_id(str(source.generator))
         return with_camera(scene, plan.camera)
     camera = plan.camera.to_dict()
