@@ -160,7 +160,7 @@ def lens(
 
     Parameters
     ----------
-    source : LENS.zmx|LENS.yaml
+    source : LENS.zmx|LENS.seq|LENS.yaml
         The file of a lens.
     pupil
         Diameter in millimetres of its entrance pupil. Default: the file's.

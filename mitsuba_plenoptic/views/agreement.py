@@ -160,18 +160,18 @@ def _places(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array]:
     if min(lf.shape[:2]) < 3:
         return places[0], places[1], np.ones(lf.shape[:2], bool)
     spread = [spread_of_samples(lf, across) for across in (0, 1)]
-    white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
-    moved_by = np.zeros((2, *seen.shape))
+    white, light = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
+    moved_by = np.zeros((2, *light.shape))
     if lf.attrs.get("camera"):
-        means, seen = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
+        means, light = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
         moved_by = means[::-1] - np.stack(np.meshgrid(*places, indexing="ij"))
-    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST_WEIGHT) & (seen >= LEAST_LIGHT * seen.max())
+    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST_WEIGHT) & (light >= LEAST_LIGHT * light.max())
     for axis, place in enumerate(places):
         with np.errstate(divide="ignore", invalid="ignore"):
-            rise = np.gradient(np.log(white / seen), axis=axis, edge_order=2)
-        part = compared & np.isfinite(rise)
-        moved_by[axis] += spread[1 - axis] * np.where(part, rise, 0)
-        place += (moved_by[axis] * part).sum(1 - axis) / np.maximum(part.sum(1 - axis), 1)
+            rise = np.gradient(np.log(white / light), axis=axis, edge_order=2)
+        valid = compared & np.isfinite(rise)
+        moved_by[axis] += spread[1 - axis] * np.where(valid, rise, 0)
+        place += (moved_by[axis] * valid).sum(1 - axis) / np.maximum(valid.sum(1 - axis), 1)
     return places[0], places[1], compared
 
 

@@ -107,9 +107,9 @@ def _transfer(
     # Of a pupil point, a lens that is out of focus there shows its aperture, times this shift in pixels.
     smear = abs(camera.pupil_shift(camera.mla_focal_lengths[0])) / camera.pupil_step
     if smear:
-        shown = camera.lattice.aperture_image(1 / samples, smear)
-        shown = np.pad(shown, (0, max(0, count - len(shown))))[:count, :count]
-        transfer = transfer * np.abs(scipy.fft.rfft2(shown))
+        aperture = camera.lattice.aperture_image(1 / samples, smear)
+        aperture = np.pad(aperture, (0, max(0, count - len(aperture))))[:count, :count]
+        transfer = transfer * np.abs(scipy.fft.rfft2(aperture))
     if wavelength is not None:
         # The spot's transform is the autocorrelation of the aperture, at distances that are frequencies times this.
         lag = in_millimetres(wavelength) * camera.reduced_distance / camera.pixel_size
