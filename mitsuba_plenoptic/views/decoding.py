@@ -204,7 +204,7 @@ def view_window(camera: PlenopticCamera | None, lenses: LensGrid) -> tuple[int, 
     reach = lenses.nearest_distance / 2
     views = math.inf
     if camera is not None:
-        radius = camera.aperture_radius / camera.pupil_step
+        radius = camera.pupil_radius / camera.pupil_step
         # A lens is alone up to where the micro-image of the next one begins.
         reach = lenses.nearest_distance - radius
         views = math.ceil(radius - 0.5 - _ROUNDING)

@@ -80,7 +80,7 @@ def _pupil(
 
     Places begin in the middle, as those of Fourier transforms.
     """
-    radius = camera.aperture_radius / camera.pupil_step
+    radius = camera.pupil_radius / camera.pupil_step
     # Light of a lens that reaches farther than this meets itself from the other side.
     side = 2 * (radius + max(4.0, radius))
     samples = max(2, min(_SAMPLES, 2 * int(_MOST / side / 2)))

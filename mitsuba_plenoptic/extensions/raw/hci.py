@@ -138,7 +138,7 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: Array | None, *, name: str)
     views = f"{lf.sizes['u']} x {lf.sizes['v']}"
     middle = lf.sizes["v"] // 2
     refuse_if(lf.sizes["u"] != lf.sizes["v"], f"light field of {views} views: a folder has as many down as across")
-    half = min(int(camera.aperture_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
+    half = min(int(camera.pupil_radius / (np.sqrt(2) * camera.pupil_step)), (lf.sizes["v"] - 1) // 2)
     lf = lf.isel({axis: slice(middle - half, middle + half + 1) for axis in ("v", "u")})
     warn_of_dark(folder, lf.values)
     white = images.Brightness().peak([lf.values])
