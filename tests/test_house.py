@@ -55,7 +55,7 @@ REACHED = {
     "lines": 74_900,
     "lines of the core": 49_700,
     "tokens": 530_050,
-    "tokens of the core": 343_800,
+    "tokens of the core": 343_850,
     "functions": 3_960,
     "percentage of functions of at most three statements": 47.6,
     "checks and raises": 1_775,

@@ -79,6 +79,11 @@ class DetectorOperator:
             change = change + self._stray(image) * _blurred_slope(self._mixed(image), self.stray_width)
         return -change
 
+    def transfer(self, fx: Any, fy: Any) -> Any:
+        """Return the Fourier transform of B at frequencies in cycles per pixel."""
+        blurred = np.exp(-2 * (math.pi * self.blur) ** 2 * (fx * fx + fy * fy))
+        return blurred * (1 - 2 * self.crosstalk * (2 - np.cos(2 * math.pi * fx) - np.cos(2 * math.pi * fy)))
+
     def _mixed(self, image: Any) -> Any:
         """Return B of an image."""
         if self.blur:

@@ -91,7 +91,7 @@ def field_figures(
     in_colour = prescription.disperses and all(low <= LINE_F and high >= LINE_C for low, high in reaches)
     axis = _open_area(lens, 0.0) or 1.0
     # Height over the tangent of the field near the axis; out of focus it is no longer the focal length.
-    near_axis = 1e-3 * lens.corner
+    near_axis = 1e-5 * lens.corner
     scale = -near_axis / chief(lens, near_axis, distance)[0]
     figures = []
     for height in heights:

@@ -171,7 +171,7 @@ def _places(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array]:
             rise = np.gradient(np.log(white / light), axis=axis, edge_order=2)
         valid = compared & np.isfinite(rise)
         moved_by[axis] += spread[1 - axis] * np.where(valid, rise, 0)
-        place += (moved_by[axis] * valid).sum(1 - axis) / np.maximum(valid.sum(1 - axis), 1)
+        places[axis] = place + (moved_by[axis] * valid).sum(1 - axis) / np.maximum(valid.sum(1 - axis), 1)
     return places[0], places[1], compared
 
 

@@ -16,6 +16,7 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera
+from ..detector import DetectorOperator
 from ..optics import in_millimetres
 from ..runtime import Doubles
 from .coordinates import camera_of, view_steps, wavelength_of
@@ -98,12 +99,10 @@ def _transfer(
 ) -> Doubles:
     """Return the Fourier transform, as of `rfft2`, of the light of one pupil point over the samples of a lens."""
     fx, fy = scipy.fft.rfftfreq(count, 1 / samples), scipy.fft.fftfreq(count, 1 / samples)[:, None]
-    transfer = np.ones((count, len(fx)))
+    transfer = DetectorOperator.of(camera).transfer(fx, fy)
     # A pixel, and the pixels between which a sample is interpolated.
     for frequency, variance in ((fx, between[0]), (fy, between[1])):
-        transfer *= np.sinc(frequency) * np.sinc(frequency * math.sqrt(12 * variance))
-        transfer *= np.exp(-2 * (math.pi * frequency * camera.detector_blur / camera.pixel_size) ** 2)
-    transfer *= 1 - 2 * camera.pixel_crosstalk * (2 - np.cos(2 * math.pi * fx) - np.cos(2 * math.pi * fy))
+        transfer = transfer * np.sinc(frequency) * np.sinc(frequency * math.sqrt(12 * variance))
     # Of a pupil point, a lens that is out of focus there shows its aperture, times this shift in pixels.
     smear = abs(camera.pupil_shift(camera.mla_focal_lengths[0])) / camera.pupil_step
     if smear:

@@ -9,6 +9,7 @@ from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..lenses import ThinLens
 from ..optics import guards, in_millimetres
+from ..rays import LensChoice
 from .accuracy import FINER, USUAL
 from .array_field import LensWaves
 from .phase_space import PhaseSpace
@@ -50,5 +51,7 @@ def plan_of(
     """
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
+    # Light of too many lenses for a pixel is refused before it is planned.
+    LensChoice.of_pixels(camera, camera.pupil_radius, 1.0)
     accuracy = FINER if fine else USUAL
     return PhaseSpace.of(camera, wavelength, accuracy, shortest=shortest, longest=longest, beside_far=beside_far)

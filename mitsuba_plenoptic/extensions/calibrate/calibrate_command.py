@@ -40,8 +40,8 @@ def _require_picture(name: str, path: Path) -> None:
         path.suffix.lower() in choices.LYTRO_SUFFIXES,
         f"{path}: a raw picture of a Lytro camera is a mosaic of colours; demosaic it first",
     )
-    is_picture = path.suffix.lower() in (".exr", ".png", ".tif", ".tiff")
-    refuse_if(not is_picture, f"{path}: it is {content_of(path)}; pictures are .exr, .png or .tiff")
+    is_picture = path.suffix.lower() in (".exr", *choices.RAW_SUFFIXES)
+    refuse_if(not is_picture, f"{path}: it is {content_of(path)}; pictures are .exr, .png, .tiff or .bmp")
 
 
 def _require_table(name: str, path: Path) -> None:
