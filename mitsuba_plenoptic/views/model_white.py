@@ -56,13 +56,15 @@ def white_pixels(camera: PlenopticCamera) -> Floats:
 
 
 def wavelength_of_light(capture: Capture) -> float | None:
-    """Return the mean wavelength in nanometres of a capture's light, of a real camera's 550; None of one by rays."""
+    """Return the mean wavelength in nm of a capture's light, 550 of a real camera's; None by rays, or if unstated."""
     if RECORDED in capture.metadata:
         return 550.0
     if capture.model != "wave":
         return None
-    channels = capture.image.shape[2] if capture.image.ndim == 3 else 1
-    spectrum = _spectrum_of(capture, channels)
+    try:
+        spectrum = _spectrum_of(capture, capture.image.shape[2] if capture.image.ndim == 3 else 1)
+    except InputError:
+        return None
     return float(np.average(spectrum.wavelengths, weights=np.abs(spectrum.matrix()).sum(0)))
 
 
