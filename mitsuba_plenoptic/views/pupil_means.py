@@ -39,13 +39,28 @@ def pupil_means(lf: xr.DataArray, between: tuple[float, float], slope: float) ->
     `between` are variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and
     `slope` is the disparity of what the views show.
     """
-    camera = camera_of(lf)
-    along, spectra, spread = _pupil(camera, wavelength_of(lf), *between)
-    near = np.exp(-np.square(along * slope / (_ALIKE * _texture(lf))) / 2)
+    # Quarters of octaves are fine enough, and few.
+    alike = _ALIKE * _texture(lf) / abs(slope) if slope else math.inf
+    alike = 2 ** (round(4 * math.log2(alike)) / 4) if slope else alike
+    steps = [tuple(view_steps(lf, axis).tolist()) for axis in "uv"]
+    return _seen(camera_of(lf), wavelength_of(lf), between, alike, *steps)
+
+
+@functools.lru_cache(maxsize=64)
+def _seen(
+    camera: PlenopticCamera,
+    wavelength: float | None,
+    between: tuple[float, float],
+    alike: float,
+    u: tuple[float, ...],
+    v: tuple[float, ...],
+) -> tuple[Doubles, Doubles]:
+    """Return `pupil_means`, of points of the pupil whose light agrees within some pixels, at steps of views."""
+    along, spectra, spread = _pupil(camera, wavelength, *between)
+    near = np.exp(-np.square(along / alike) / 2)
     transfer = scipy.fft.rfft2(spread * near * near[:, None])
     images = (scipy.fft.irfft2(spectrum * transfer, spread.shape) for spectrum in spectra)
-    step = along[1] - along[0]
-    columns, rows = (np.rint(view_steps(lf, axis) / step).astype(int) % len(along) for axis in "uv")
+    columns, rows = (np.rint(np.divide(steps, along[1])).astype(int) % len(along) for steps in (u, v))
     light, *sums = (image[np.ix_(rows, columns)] for image in images)
     light = np.maximum(light, 1e-6)
     return np.stack(sums) / light, light
