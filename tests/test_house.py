@@ -52,10 +52,10 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 74_900,
-    "lines of the core": 49_700,
-    "tokens": 530_050,
-    "tokens of the core": 343_850,
+    "lines": 74_950,
+    "lines of the core": 49_750,
+    "tokens": 530_300,
+    "tokens of the core": 344_100,
     "functions": 3_960,
     "percentage of functions of at most three statements": 47.6,
     "checks and raises": 1_775,

@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..runtime import Array
 from .coordinates import channel_planes, grid_of, view_steps
-from .pupil_means import LEAST_LIGHT, pupil_means
+from .pupil_means import LEAST, pupil_means
 from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
@@ -16,10 +16,6 @@ _WINDOW = 0.85
 
 # Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
-
-# Samples that see at least this much of the pupil take part. The others see it much nearer to its middle than their
-# coordinate says.
-LEAST_WEIGHT = 0.9
 
 
 def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array, Array]:
@@ -114,7 +110,7 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, A
     Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
     """
     v, u, compared = _places(lf, slope)
-    weight = ((lf["weight"].values >= LEAST_WEIGHT) & compared[..., None, None]).astype(np.float32)
+    weight = ((lf["weight"].values >= LEAST) & compared[..., None, None]).astype(np.float32)
     variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
     noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
     for plane in channel_planes(lf):
@@ -154,24 +150,29 @@ def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, A
 def _places(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array]:
     """Return the mean points at which views along v, and along u, see the pupil, in views from the centre.
 
-    They are nearer to brighter views than what is known of the camera makes them.
+    They are nearer to brighter views. The other result (v, u) tells which views are compared.
     """
     places = [view_steps(lf, axis) for axis in "vu"]
     if min(lf.shape[:2]) < 3:
         return places[0], places[1], np.ones(lf.shape[:2], bool)
     spread = [spread_of_samples(lf, across) for across in (0, 1)]
-    white, light = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
-    moved_by = np.zeros((2, *light.shape))
-    if lf.attrs.get("camera"):
-        means, light = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
+    white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        brightness = np.log(white / seen)
+    moved_by = np.zeros((2, *seen.shape))
+    compared = np.ones(seen.shape, bool)
+    # Views of other origin are of points of the pupil.
+    if lf.attrs.get("camera") and lf.attrs.get("grid"):
+        means, left, compared = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
         moved_by = means[::-1] - np.stack(np.meshgrid(*places, indexing="ij"))
-    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST_WEIGHT) & (light >= LEAST_LIGHT * light.max())
-    for axis, place in enumerate(places):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            rise = np.gradient(np.log(white / light), axis=axis, edge_order=2)
-        valid = compared & np.isfinite(rise)
-        moved_by[axis] += spread[1 - axis] * np.where(valid, rise, 0)
-        places[axis] = place + (moved_by[axis] * valid).sum(1 - axis) / np.maximum(valid.sum(1 - axis), 1)
+        brightness -= np.log(left)
+    for axis, steps in enumerate(places):
+        with np.errstate(invalid="ignore"):
+            rise = np.gradient(brightness, axis=axis, edge_order=2)
+        finite = np.isfinite(rise)
+        counted = np.maximum(compared.sum(1 - axis), 1)
+        places[axis] = steps + (moved_by[axis] * compared).sum(1 - axis) / counted
+        places[axis] += spread[1 - axis] * np.where(finite, rise, 0).sum(1 - axis) / np.maximum(finite.sum(1 - axis), 1)
     return places[0], places[1], compared
 
 

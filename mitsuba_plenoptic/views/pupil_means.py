@@ -18,32 +18,47 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..detector import DetectorOperator
 from ..optics import in_millimetres
-from ..runtime import Doubles
+from ..runtime import Doubles, Flags
 from .coordinates import camera_of, view_steps, wavelength_of
 
 # Samples across a pixel, and the most across the grid.
 _SAMPLES = 8
 _MOST = 1024
 
-# Views that see at least this much of the light of the middle one are compared.
-LEAST_LIGHT = 0.9
+# Samples that see at least this much of the pupil, and of the light of the middle, are compared. The others see the
+# pupil much nearer to its middle than their coordinate says.
+LEAST = 0.9
 
 # Deviation, over that of a texture's autocorrelation, of the Gaussian of the scene's movement between two points of the
 # pupil up to which light of one moves the view of the other; light that moves farther agrees with nothing.
 _ALIKE = 2.0
 
 
-def pupil_means(lf: xr.DataArray, between: tuple[float, float], slope: float) -> tuple[Doubles, Doubles]:
-    """Return the mean pupil points (2, v, u) of views in views from the centre, along u and v, and their light (v, u).
+def pupil_means(lf: xr.DataArray, between: tuple[float, float], slope: float) -> tuple[Doubles, Doubles, Flags]:
+    """Return the mean pupil points (2, v, u) of views in views from the centre, along u and v, and two maps (v, u).
 
-    `between` are variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and
-    `slope` is the disparity of what the views show.
+    These are the part of the light that diffraction leaves to a view, and whether the view is compared. `between` are
+    variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and `slope` is the
+    disparity of what the views show.
     """
-    # Quarters of octaves are fine enough, and few.
-    alike = _ALIKE * _texture(lf) / abs(slope) if slope else math.inf
-    alike = 2 ** (round(4 * math.log2(alike)) / 4) if slope else alike
+    camera = camera_of(lf)
+    wavelength = wavelength_of(lf)
     steps = [tuple(view_steps(lf, axis).tolist()) for axis in "uv"]
-    return _seen(camera_of(lf), wavelength_of(lf), between, alike, *steps)
+    # Quarters of octaves are fine enough, and few.
+    alike = 2 ** (round(4 * math.log2(_ALIKE * _texture(lf) / max(abs(slope), 1e-9))) / 4)
+    light, sums = _seen(camera, wavelength, between, alike, *steps)
+    whole, by_rays = (_seen(camera, light_of, between, math.inf, *steps)[0] for light_of in (wavelength, None))
+    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
+    return sums / light, whole / by_rays, compared
+
+
+def narrowed(lf: xr.DataArray) -> float:
+    """Return the fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
+    if not lf.attrs.get("grid"):
+        return 0.0
+    means, _, compared = pupil_means(lf, (0.2, 0.2), 0.0)
+    views = np.stack(np.meshgrid(view_steps(lf, "u"), view_steps(lf, "v"))) * compared
+    return float(1 - (means * views).sum() / max(np.square(views).sum(), 1e-9)) if views.any() else 0.0
 
 
 @functools.lru_cache(maxsize=64)
@@ -55,22 +70,17 @@ def _seen(
     u: tuple[float, ...],
     v: tuple[float, ...],
 ) -> tuple[Doubles, Doubles]:
-    """Return `pupil_means`, of points of the pupil whose light agrees within some pixels, at steps of views."""
+    """Return the light of views at steps along the pupil, and it times both coordinates, for `pupil_means`.
+
+    Light agrees from points of the pupil that are closer than some pixels.
+    """
     along, spectra, spread = _pupil(camera, wavelength, *between)
     near = np.exp(-np.square(along / alike) / 2)
     transfer = scipy.fft.rfft2(spread * near * near[:, None])
     images = (scipy.fft.irfft2(spectrum * transfer, spread.shape) for spectrum in spectra)
     columns, rows = (np.rint(np.divide(steps, along[1])).astype(int) % len(along) for steps in (u, v))
     light, *sums = (image[np.ix_(rows, columns)] for image in images)
-    light = np.maximum(light, 1e-6)
-    return np.stack(sums) / light, light
-
-
-def narrowed(lf: xr.DataArray) -> float:
-    """Return the fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
-    means, light = pupil_means(lf, (0.2, 0.2), 0.0)
-    views = np.stack(np.meshgrid(view_steps(lf, "u"), view_steps(lf, "v"))) * (light >= LEAST_LIGHT * light.max())
-    return float(1 - (means * views).sum() / max(np.square(views).sum(), 1e-9))
+    return np.maximum(light, 1e-6), np.stack(sums)
 
 
 def _texture(lf: xr.DataArray) -> float:
