@@ -54,8 +54,8 @@ GOALS = {
 REACHED = {
     "lines": 74_950,
     "lines of the core": 49_750,
-    "tokens": 530_300,
-    "tokens of the core": 344_100,
+    "tokens": 530_400,
+    "tokens of the core": 344_200,
     "functions": 3_960,
     "percentage of functions of at most three statements": 47.6,
     "checks and raises": 1_775,

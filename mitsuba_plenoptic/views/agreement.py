@@ -7,8 +7,8 @@ import scipy
 import xarray as xr
 
 from ..runtime import Array
-from .coordinates import channel_planes, grid_of, view_steps
-from .pupil_means import LEAST, pupil_means
+from .coordinates import camera_of, channel_planes, grid_of, view_steps, wavelength_of
+from .pupil_means import alike_pixels, light_of_views, texture_of
 from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
@@ -17,46 +17,156 @@ _WINDOW = 0.85
 # Steps between the nearest views without a common pixel. They differ by noise, and by little else near the right plane.
 _APART = 2
 
+# Samples that see at least this much of the pupil, and of the light of the middle, are compared. The others see the
+# pupil much nearer to its middle than their coordinate says.
+LEAST = 0.9
 
-def view_disagreement(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the unexplained fraction of the variance between views that are shifted for one disparity.
 
-    Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a bin;
-    the variance to be explained; the number of samples, over which 1 is the variance of the ratio of pure noise; the
-    number of samples whose noise is independent; and the variance of noise, half of the mean square of the differences
-    between views that are two steps apart.
+class ViewComparison:
+    """Comparison of the views of a light field, shifted for a disparity; see `lens_agreement.LensComparison`."""
 
-    The variance to be explained is that of the views in each bin, which is left unexplained, plus that of their mean
-    among neighbouring bins. Interpolation reduces both alike. Where the ratio for the upper, lower, left or right half
-    of the pupil is less than half as large, twice that ratio counts: next to an occluder's edge, one half of the pupil
-    sees past it.
-    """
-    variance, mean, count, noise = _moved_views(lf, slope)
-    count_near, parts, means, squares = (
-        scipy.ndimage.gaussian_filter(moment, (0, _WINDOW, _WINDOW), mode="nearest")
-        for moment in (count, count * variance, count * mean, count * np.square(mean))
-    )
-    parts, means, squares = (moment / np.maximum(count_near, 1e-6) for moment in (parts, means, squares))
-    # Fraction of the views that must see a bin: few agree by chance.
-    parts[count < 0.25 * count.max((1, 2), keepdims=True)] = np.nan
-    # Views that have the noise of one: decoding interpolates them between the same pixels.
-    independent = np.maximum(count_near / 2.0, 1)
-    # Noise, too, leaves a variance in means.
-    total_variance = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
-    ratio = np.divide(parts, total_variance, out=np.ones_like(parts), where=~(total_variance <= 0))
-    # What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out less.
-    ratio[1:] *= 2.0
-    samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
-    best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
-    ratio, samples = (np.take_along_axis(moment, best, 0)[0] for moment in (ratio, samples))
-    squares, pairs = scipy.ndimage.gaussian_filter(noise, (0, _WINDOW, _WINDOW), mode="nearest")
-    return (
-        ratio,
-        total_variance[0],
-        samples,
-        np.sqrt(samples * (2 * np.pi * _WINDOW**2)),
-        np.minimum(squares / np.maximum(pairs, 1e-6), parts[0]),
-    )
+    def __init__(self, lf: xr.DataArray) -> None:
+        self._lf = lf
+        self._texture = texture_of(lf)
+        self._steps = [view_steps(lf, axis) for axis in "uv"]
+        self._spread = [spread_of_samples(lf, across) for across in (0, 1)]
+        weight = lf["weight"].values
+        white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            brightness = np.log(white / seen)
+        self._compared = np.ones(seen.shape, bool)
+        if self._is_decoded:
+            whole, _ = self._light(0.0, wavelength_of(lf))
+            brightness -= np.log(whole / self._light(0.0, None)[0])
+            self._compared = (np.median(weight, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
+        # Steps by which the mean points of views are nearer to brighter ones.
+        self._brighter = [np.zeros(len(steps)) for steps in self._steps]
+        if min(seen.shape) >= 3:
+            with np.errstate(invalid="ignore"):
+                rises = [np.gradient(brightness, axis=axis, edge_order=2) for axis in (1, 0)]
+            for index, rise in enumerate(rises):
+                finite = np.isfinite(rise)
+                mean = np.where(finite, rise, 0).sum(index) / np.maximum(finite.sum(index), 1)
+                self._brighter[index] = self._spread[index] * mean
+        self._weight = ((weight >= LEAST) & self._compared[..., None, None]).astype(np.float32)
+
+    @property
+    def narrowed(self) -> float:
+        """Fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
+        views = np.stack(np.meshgrid(*self._steps)) * self._compared
+        if not self._is_decoded or not views.any():
+            return 0.0
+        light, sums = self._light(0.0, wavelength_of(self._lf))
+        return float(1 - (sums / light * views).sum() / np.square(views).sum())
+
+    @property
+    def _is_decoded(self) -> bool:
+        """Whether views are samples between pixels of a known camera; views of other origin are of pupil points."""
+        attributes = self._lf.attrs
+        return bool(attributes.get("camera") and attributes.get("grid")) and min(self._lf.shape[:2]) >= 3
+
+    def _light(self, slope: float, wavelength: float | None) -> tuple[Array, Array]:
+        """Return the light of the views by the camera, and its sums; see `light_of_views`."""
+        between = self._spread[0] - 1 / 12, self._spread[1] - 1 / 12
+        alike = alike_pixels(self._texture, slope)
+        u, v = (tuple(steps.tolist()) for steps in self._steps)
+        return light_of_views(camera_of(self._lf), wavelength, between, alike, u, v)
+
+    def _places(self, slope: float) -> tuple[Array, Array]:
+        """Return the mean points at which views along v, and along u, see the pupil, in views from the centre."""
+        u, v = (steps + brighter for steps, brighter in zip(self._steps, self._brighter, strict=True))
+        if self._is_decoded:
+            light, sums = self._light(slope, wavelength_of(self._lf))
+            moved_by = (sums / light - np.stack(np.meshgrid(*self._steps))) * self._compared
+            u = u + moved_by[0].sum(0) / np.maximum(self._compared.sum(0), 1)
+            v = v + moved_by[1].sum(1) / np.maximum(self._compared.sum(1), 1)
+        return v, u
+
+    def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the unexplained fraction of the variance between views that are shifted for one disparity.
+
+        Returned, each (t, s), are that ratio, from 0 to 1, which noise alone reaches, NaN where too few views see a
+        bin; the variance to be explained; the number of samples, over which 1 is the variance of the ratio of pure
+        noise; the number of samples whose noise is independent; and the variance of noise, half of the mean square of
+        the differences between views that are two steps apart.
+
+        The variance to be explained is that of the views in each bin, which is left unexplained, plus that of their
+        mean among neighbouring bins. Interpolation reduces both alike. Where the ratio for the upper, lower, left or
+        right half of the pupil is less than half as large, twice that ratio counts: next to an occluder's edge, one
+        half of the pupil sees past it.
+        """
+        variance, mean, count, noise = self._moved_views(slope)
+        count_near, parts, means, squares = (
+            scipy.ndimage.gaussian_filter(moment, (0, _WINDOW, _WINDOW), mode="nearest")
+            for moment in (count, count * variance, count * mean, count * np.square(mean))
+        )
+        parts, means, squares = (moment / np.maximum(count_near, 1e-6) for moment in (parts, means, squares))
+        # Fraction of the views that must see a bin: few agree by chance.
+        parts[count < 0.25 * count.max((1, 2), keepdims=True)] = np.nan
+        # Views that have the noise of one: decoding interpolates them between the same pixels.
+        independent = np.maximum(count_near / 2.0, 1)
+        # Noise, too, leaves a variance in means.
+        total_variance = parts + np.maximum(squares - np.square(means) - parts / independent, 0)
+        ratio = np.divide(parts, total_variance, out=np.ones_like(parts), where=~(total_variance <= 0))
+        # What half of the pupil leaves unexplained counts so many times: with half a baseline wrong depths stand out
+        # less.
+        ratio[1:] *= 2.0
+        samples = np.square(independent) * (2 * np.pi * _WINDOW**2)
+        best = np.argmin(np.where(np.isnan(ratio), np.inf, ratio), axis=0)[None]
+        ratio, samples = (np.take_along_axis(moment, best, 0)[0] for moment in (ratio, samples))
+        squares, pairs = scipy.ndimage.gaussian_filter(noise, (0, _WINDOW, _WINDOW), mode="nearest")
+        return (
+            ratio,
+            total_variance[0],
+            samples,
+            np.sqrt(samples * (2 * np.pi * _WINDOW**2)),
+            np.minimum(squares / np.maximum(pairs, 1e-6), parts[0]),
+        )
+
+    def _moved_views(self, slope: float) -> tuple[Array, Array, Array, Array]:
+        """Return variance, mean and number of the views that see each bin, shifted for one disparity.
+
+        Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
+        Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
+        """
+        lf = self._lf
+        v, u = self._places(slope)
+        variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
+        noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
+        for plane in channel_planes(lf):
+            # Counts, sums of values and of their squares over each quadrant of the pupil.
+            sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
+            for row, row_weight, down in zip(plane, self._weight, v, strict=True):
+                by_row, row_open = (
+                    moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight)
+                )
+                passed: list[tuple[Array, Array]] = []
+                for view, view_weight, across in zip(by_row, row_open, u, strict=True):
+                    if not view_weight.any():
+                        continue
+                    total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
+                    values = total / np.maximum(view_open, 0.5)
+                    # Between a bin and none the values are of places within the field, which moved depths by 1 %.
+                    view_open = np.maximum(4 * view_open - 3, 0)
+                    moments = view_open * np.stack([np.ones_like(values), values, np.square(values)])
+                    passed.append((values, view_open))
+                    if len(passed) > _APART:
+                        earlier = passed[-1 - _APART][0]
+                        both = view_open * passed[-1 - _APART][1]
+                        noise += np.stack([both * np.square(values - earlier) / 2, both])
+                    # A view on a dividing line belongs to both of its sides by half.
+                    for j, vertical in enumerate(_sides(down)):
+                        for i, horizontal in enumerate(_sides(across)):
+                            if vertical * horizontal:
+                                sums[j, i] += np.float32(vertical * horizontal) * moments
+            halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
+            for index, (count, total, square) in enumerate(halves):
+                count_safe = np.maximum(count, 1e-6)
+                variance[index] += np.maximum(square / count_safe - (total / count_safe) ** 2, 0)
+                mean[index] += total / count_safe
+                views[index] += count
+        channels = lf.sizes.get("c", 1)
+        return variance / channels, mean / channels, views / channels, noise
 
 
 def finer_stripes(image: Array, moved: Array) -> Array:
@@ -101,79 +211,6 @@ def finer_stripes(image: Array, moved: Array) -> Array:
     ratio = np.minimum(contrast, 1e3) / np.maximum(finer, 1e-6)
     possible = aliased * ((1.3 - ratio) / 0.3).clip(0, 1)
     return possible * np.square(coarser) / (np.square(coarser) + np.square(finer))
-
-
-def _moved_views(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array, Array]:
-    """Return variance, mean and number of the views that see each bin, shifted for one disparity.
-
-    Each is (5, t, s): of the whole pupil and of its upper, lower, left and right half, averaged over the channels.
-    Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
-    """
-    v, u, compared = _places(lf, slope)
-    weight = ((lf["weight"].values >= LEAST) & compared[..., None, None]).astype(np.float32)
-    variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
-    noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
-    for plane in channel_planes(lf):
-        # Counts, sums of values and of their squares over each quadrant of the pupil.
-        sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
-        for row, row_weight, down in zip(plane, weight, v, strict=True):
-            by_row, row_open = (moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight))
-            passed: list[tuple[Array, Array]] = []
-            for view, view_weight, across in zip(by_row, row_open, u, strict=True):
-                if not view_weight.any():
-                    continue
-                total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
-                values = total / np.maximum(view_open, 0.5)
-                # Between a bin and none the values are of places within the field, which moved depths by 1 %.
-                view_open = np.maximum(4 * view_open - 3, 0)
-                moments = view_open * np.stack([np.ones_like(values), values, np.square(values)])
-                passed.append((values, view_open))
-                if len(passed) > _APART:
-                    earlier = passed[-1 - _APART][0]
-                    both = view_open * passed[-1 - _APART][1]
-                    noise += np.stack([both * np.square(values - earlier) / 2, both])
-                # A view on a dividing line belongs to both of its sides by half.
-                for j, vertical in enumerate(_sides(down)):
-                    for i, horizontal in enumerate(_sides(across)):
-                        if vertical * horizontal:
-                            sums[j, i] += np.float32(vertical * horizontal) * moments
-        halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
-        for index, (count, total, square) in enumerate(halves):
-            count_safe = np.maximum(count, 1e-6)
-            variance[index] += np.maximum(square / count_safe - (total / count_safe) ** 2, 0)
-            mean[index] += total / count_safe
-            views[index] += count
-    channels = lf.sizes.get("c", 1)
-    return variance / channels, mean / channels, views / channels, noise
-
-
-def _places(lf: xr.DataArray, slope: float) -> tuple[Array, Array, Array]:
-    """Return the mean points at which views along v, and along u, see the pupil, in views from the centre.
-
-    They are nearer to brighter views. The other result (v, u) tells which views are compared.
-    """
-    places = [view_steps(lf, axis) for axis in "vu"]
-    if min(lf.shape[:2]) < 3:
-        return places[0], places[1], np.ones(lf.shape[:2], bool)
-    spread = [spread_of_samples(lf, across) for across in (0, 1)]
-    white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        brightness = np.log(white / seen)
-    moved_by = np.zeros((2, *seen.shape))
-    compared = np.ones(seen.shape, bool)
-    # Views of other origin are of points of the pupil.
-    if lf.attrs.get("camera") and lf.attrs.get("grid"):
-        means, left, compared = pupil_means(lf, (spread[0] - 1 / 12, spread[1] - 1 / 12), slope)
-        moved_by = means[::-1] - np.stack(np.meshgrid(*places, indexing="ij"))
-        brightness -= np.log(left)
-    for axis, steps in enumerate(places):
-        with np.errstate(invalid="ignore"):
-            rise = np.gradient(brightness, axis=axis, edge_order=2)
-        finite = np.isfinite(rise)
-        counted = np.maximum(compared.sum(1 - axis), 1)
-        places[axis] = steps + (moved_by[axis] * compared).sum(1 - axis) / counted
-        places[axis] += spread[1 - axis] * np.where(finite, rise, 0).sum(1 - axis) / np.maximum(finite.sum(1 - axis), 1)
-    return places[0], places[1], compared
 
 
 def spread_of_samples(lf: xr.DataArray, across: int) -> float:

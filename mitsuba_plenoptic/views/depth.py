@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..errors import LONGEST, InputError, require_count, require_number, suggest
 from ..fields import OpticalSystem
 from ..lenses import undistort
 from ..runtime import Array, Progress, counted, require_memory
-from .agreement import finer_stripes, spread_of_samples, view_disagreement
+from .agreement import ViewComparison, finer_stripes, spread_of_samples
 from .coordinates import (
     array_scale,
     camera_of,
@@ -31,7 +31,6 @@ from .coordinates import (
 from .lens_agreement import LensComparison, light_of_lens
 from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
-from .pupil_means import narrowed
 from .refocusing import shift_and_add
 from .repetition import wrong_by_repetition
 
@@ -71,7 +70,7 @@ def depth_map(
     r"""Return the depth of every bin of the central view, with a confidence.
 
     For planes spaced in disparity the unexplained fraction of the variance of views is measured: for an unfocused
-    camera by `agreement.view_disagreement`, for the micro-images of a focused one by `lens_agreement.LensComparison`.
+    camera by `agreement.ViewComparison`, for the micro-images of a focused one by `lens_agreement.LensComparison`.
     `plane_choice` turns the fractions of each bin and its neighbours into probabilities, takes the most probable plane,
     refined by a parabola, and tests whether it explains more than it would for pure noise, and how many neighbours
     agree.
@@ -205,11 +204,11 @@ def _by_moves(slopes: Array, plane: Array, offset: Array, disparities: Array) ->
     return np.where(np.isfinite(refined) & (before * after > 0) & (before < at) & (at < after), refined, disparities)
 
 
-def _off(lf: xr.DataArray, disparities: Array) -> Array:
+def _off(lf: xr.DataArray, disparities: Array, narrowed: float) -> Array:
     """Return the deviations of errors that depths of these disparities have whatever the noise, over the tolerance.
 
     Of an unfocused camera, shifts of less than a quarter of a lens at the pupil's rim are found up to a twentieth too
-    small; over a whole lens, deviations cancel. By how much blur narrows the pupil is known to a third.
+    small; over a whole lens, deviations cancel. By what part blur has `narrowed` the pupil is known to a third.
     """
     camera = camera_of(lf)
     steps = view_steps(lf, "u").max()
@@ -217,7 +216,7 @@ def _off(lf: xr.DataArray, disparities: Array) -> Array:
     if is_focused(lf):
         off = _OFF * moved
     else:
-        off = np.hypot(0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25), narrowed(lf) / 3 * moved)
+        off = np.hypot(0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25), narrowed / 3 * moved)
     # What moves as far as the tolerance, in lenses at the pupil's rim; infinity is right.
     right = RIGHT * camera.mla_distance / distance_of(lf, disparities) * camera.pupil_step / camera.row_pitch * steps
     return np.divide(off, right, out=np.zeros_like(off), where=right > 0)
@@ -387,10 +386,13 @@ def disagreement_of_planes(
         if not are_alike(images.camera, camera_of(lf)) or images.bins.shape != lf.shape[2:4]:
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
         lenses = LensComparison(images)
-        measure = lenses.disagreement
+        measure: Callable[[float], Any] = lenses.disagreement
+        narrowed = 0.0
         samples = LENSES
     else:
-        measure = partial(view_disagreement, lf)
+        views = ViewComparison(lf)
+        measure = views.disagreement
+        narrowed = views.narrowed
         samples = VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, 2.0)
     measured = np.empty((5, len(slopes), *lf.shape[2:4]), dtype=np.float32)
@@ -405,7 +407,7 @@ def disagreement_of_planes(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
-    off = _off(lf, slopes)[:, None, None] if lf.attrs.get("camera") else 0.0
+    off = _off(lf, slopes, narrowed)[:, None, None] if lf.attrs.get("camera") else 0.0
     if is_focused(lf):
         off = off * np.hypot(1, lenses.moved_by_errors() * np.abs(slopes[:, None, None]) / _OFF)
     return disagreement(ratio, variance, counted_for, independent, brightness, 1 / distances, noise, off), samples

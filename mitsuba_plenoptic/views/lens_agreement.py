@@ -81,7 +81,7 @@ class LensComparison:
     def disagreement(self, slope: float, apart: int = 1) -> tuple[Array, Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between neighbouring lenses, moved for a disparity.
 
-        The results are those of `agreement.view_disagreement`; the ratio is NaN where no lenses can be compared. The
+        The results are those of `agreement.ViewComparison`; the ratio is NaN where no lenses can be compared. The
         variance of a bin's samples is to be explained; the variance between lenses `apart` times as far apart as
         neighbours stays unexplained.
         """

@@ -18,51 +18,25 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..detector import DetectorOperator
 from ..optics import in_millimetres
-from ..runtime import Doubles, Flags
-from .coordinates import camera_of, view_steps, wavelength_of
+from ..runtime import Doubles
 
 # Samples across a pixel, and the most across the grid.
 _SAMPLES = 8
 _MOST = 1024
-
-# Samples that see at least this much of the pupil, and of the light of the middle, are compared. The others see the
-# pupil much nearer to its middle than their coordinate says.
-LEAST = 0.9
 
 # Deviation, over that of a texture's autocorrelation, of the Gaussian of the scene's movement between two points of the
 # pupil up to which light of one moves the view of the other; light that moves farther agrees with nothing.
 _ALIKE = 2.0
 
 
-def pupil_means(lf: xr.DataArray, between: tuple[float, float], slope: float) -> tuple[Doubles, Doubles, Flags]:
-    """Return the mean pupil points (2, v, u) of views in views from the centre, along u and v, and two maps (v, u).
-
-    These are the part of the light that diffraction leaves to a view, and whether the view is compared. `between` are
-    variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and `slope` is the
-    disparity of what the views show.
-    """
-    camera = camera_of(lf)
-    wavelength = wavelength_of(lf)
-    steps = [tuple(view_steps(lf, axis).tolist()) for axis in "uv"]
+def alike_pixels(texture: float, slope: float) -> float:
+    """Return within how many pixels points of the pupil show alike what has a disparity; see `texture_of`."""
     # Quarters of octaves are fine enough, and few.
-    alike = 2 ** (round(4 * math.log2(_ALIKE * _texture(lf) / max(abs(slope), 1e-9))) / 4)
-    light, sums = _seen(camera, wavelength, between, alike, *steps)
-    whole, by_rays = (_seen(camera, light_of, between, math.inf, *steps)[0] for light_of in (wavelength, None))
-    compared = (np.median(lf["weight"].values, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
-    return sums / light, whole / by_rays, compared
-
-
-def narrowed(lf: xr.DataArray) -> float:
-    """Return the fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
-    if not lf.attrs.get("grid"):
-        return 0.0
-    means, _, compared = pupil_means(lf, (0.2, 0.2), 0.0)
-    views = np.stack(np.meshgrid(view_steps(lf, "u"), view_steps(lf, "v"))) * compared
-    return float(1 - (means * views).sum() / max(np.square(views).sum(), 1e-9)) if views.any() else 0.0
+    return 2 ** (round(4 * math.log2(_ALIKE * texture / max(abs(slope), 1e-9))) / 4)
 
 
 @functools.lru_cache(maxsize=64)
-def _seen(
+def light_of_views(
     camera: PlenopticCamera,
     wavelength: float | None,
     between: tuple[float, float],
@@ -70,9 +44,10 @@ def _seen(
     u: tuple[float, ...],
     v: tuple[float, ...],
 ) -> tuple[Doubles, Doubles]:
-    """Return the light of views at steps along the pupil, and it times both coordinates, for `pupil_means`.
+    """Return the light (v, u) of views at steps along the pupil, and the sums (2, v, u) of light times its u and v.
 
-    Light agrees from points of the pupil that are closer than some pixels.
+    `between` are variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and
+    `alike` says within how many pixels the light of pupil points agrees.
     """
     along, spectra, spread = _pupil(camera, wavelength, *between)
     near = np.exp(-np.square(along / alike) / 2)
@@ -83,7 +58,7 @@ def _seen(
     return np.maximum(light, 1e-6), np.stack(sums)
 
 
-def _texture(lf: xr.DataArray) -> float:
+def texture_of(lf: xr.DataArray) -> float:
     """Return the deviation in lenses of a Gaussian with the autocorrelation of the central view, without its noise."""
     view = np.nan_to_num(lf.values[lf.shape[0] // 2, lf.shape[1] // 2]).astype(np.float64)
     view -= view.mean()

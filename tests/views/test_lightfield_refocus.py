@@ -12,7 +12,7 @@ from scipy.ndimage import center_of_mass, gaussian_filter, map_coordinates, unif
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import views
 from mitsuba_plenoptic.design import best_distances
-from mitsuba_plenoptic.views.agreement import view_disagreement
+from mitsuba_plenoptic.views.agreement import ViewComparison
 from mitsuba_plenoptic.views.coordinates import view_steps
 from mitsuba_plenoptic.views.lens_agreement import LensComparison
 from mitsuba_plenoptic.views.lens_images import micro_images_of
@@ -130,7 +130,7 @@ class TestDepth:
     def test_views_are_as_noisy_at_any_disparity(self, blank):
         noise = np.random.default_rng(0).normal(0, 0.1, blank.shape)
         lf = blank.copy(data=np.where(blank.weight.values > 0, 0.5 + noise, 0).astype(np.float32))
-        found = [view_disagreement(lf, slope)[:2] for slope in (0, 0.02, 0.37, 0.5, 0.98, 1)]
+        found = [ViewComparison(lf).disagreement(slope)[:2] for slope in (0, 0.02, 0.37, 0.5, 0.98, 1)]
         left = [float((ratio * whole)[8:-8, 8:-8].mean()) for ratio, whole in found]
         assert left == pytest.approx([left[0]] * len(left), rel=0.02)
 
@@ -198,7 +198,9 @@ class TestDepth:
         assert float(np.isfinite(inner.depth).mean()) > 0.9
         assert float(abs(inner.depth - sharp).max()) < 0.5
         # The views themselves agree about nothing.
-        by_views = [float(np.nanmedian(view_disagreement(lf, views.disparity(lf, g))[0])) for g in (sharp, 222.0)]
+        by_views = [
+            float(np.nanmedian(ViewComparison(lf).disagreement(views.disparity(lf, g))[0])) for g in (sharp, 222.0)
+        ]
         lenses = LensComparison(micro_images_of(lf))
         by_lenses = [float(np.nanmedian(lenses.disagreement(views.disparity(lf, g))[0])) for g in (sharp, 222.0)]
         assert by_lenses[0] < 0.1 * by_lenses[1]
