@@ -135,7 +135,7 @@ class ArrayFactor(ABC):
         """Return the orders of the derivative with respect to the position along an axis, in periods."""
         rows_first = self.axes[::-1].index(axis)
         order = np.indices(orders.shape, sparse=True)[rows_first] - orders.shape[rows_first] // 2
-        return np.asarray(2j * math.pi * order * orders)
+        return 2j * math.pi * order * orders
 
 
 class AxisFactor(ArrayFactor):

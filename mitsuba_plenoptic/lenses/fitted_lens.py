@@ -332,7 +332,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
     def changed(polynomial: Polynomial, high: Doubles, low: Doubles) -> Doubles:
         along = polynomial.at(np.column_stack([0 * rays.field, rays.field]), rays.inverse_distance).T
         _, x, y = polynomial.over_pupil(list(along), (0.0, rays.field)).gradient((rays.position[0], rays.position[1]))
-        return np.asarray((high - low) / (2 * step) - x * shift[0] - y * shift[1])
+        return (high - low) / (2 * step) - x * shift[0] - y * shift[1]
 
     polynomials = [fitted.aberration, fitted.brightness, *fitted.stops]
     changes = [changed(*parts) for parts in zip(polynomials, values(more), values(less), strict=True)]

@@ -80,7 +80,7 @@ class PupilWeights:
 
     def lit(self) -> Flags:
         """Return, for each point, whether any light passes the pupil."""
-        return np.asarray(np.abs(self.table).reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
+        return (np.abs(self.table).reshape(len(self.table), -1).max(axis=1) > 0)[self.index]
 
     def at(self, point: Any, Px: Any, Py: Any, radius: Any, sample: Any) -> Pair:
         """Return the weights, and the amplitudes whose squares they are, averaged over each sample of the pupil.

@@ -194,7 +194,7 @@ class WeakBins:
 def divided_bins(white: Array, rays: Array, distance: float) -> Array:
     """Return a mask of the bins whose sums are divided by the sums of white."""
     # Bins that few rays of white reach are too noisy for a division.
-    reached = np.asarray((rays >= 0.01 * rays.max()) & (rays > 0) & (white > 0))
+    reached = (rays >= 0.01 * rays.max()) & (rays > 0) & (white > 0)
     refuse_if(not reached.any(), f"distance = {distance:g}: no light comes from any of the {rays.size} bins there")
     return reached
 

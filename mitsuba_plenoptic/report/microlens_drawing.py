@@ -31,8 +31,8 @@ def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -
     reach = camera.lattice.cell_reach
     along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 * reach - reach
     u, v = np.meshgrid(along, along)
-    inside = np.asarray(camera.lattice.in_aperture(*camera.lattice.from_frame(u, v)))
-    waves = np.asarray(camera.microlens.waves(u, v, wavelength))
+    inside = camera.lattice.in_aperture(*camera.lattice.from_frame(u, v))
+    waves = camera.microlens.waves(u, v, wavelength)
     plot = Plot(11.2, 3.7)
     lens, section, light = plot.subplots(1, 3, width_ratios=(1.2, 1.2, 1))
     ends = 1e3 * along[0], 1e3 * along[-1]
@@ -50,7 +50,7 @@ def _section(axes: Axes, camera: PlenopticCamera, wavelength: float) -> None:
     half = camera.lattice.aperture_width / 2
     start = np.linspace(-1, 1, 15) * half * 0.98
     deflection = camera.microlens.slopes(start, 0 * start)[0] * camera.microlens.strength(wavelength)
-    sine = np.asarray(deflection) / camera.mla_medium
+    sine = deflection / camera.mla_medium
     slope = sine / np.sqrt(1 - np.minimum(sine * sine, 0.999))
     z = camera.detector_distance
     ends = np.array([-0.3 * z, 0.0, 1.5 * z])

@@ -8,7 +8,7 @@ import xarray as xr
 
 from ..runtime import Array
 from .coordinates import camera_of, channel_planes, grid_of, view_steps, wavelength_of
-from .pupil_means import alike_pixels, light_of_views, texture_of
+from .pupil_means import light_of_views, texture_of
 from .refocusing import moved
 
 # Neighbouring bins that share their evidence: standard deviation of the Gaussian window. Moved views spread it further.
@@ -29,35 +29,32 @@ class ViewComparison:
         self._lf = lf
         self._texture = texture_of(lf)
         self._steps = [view_steps(lf, axis) for axis in "uv"]
-        self._spread = [spread_of_samples(lf, across) for across in (0, 1)]
+        self._spread = spread_of_samples(lf, 0), spread_of_samples(lf, 1)
         weight = lf["weight"].values
         white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
         with np.errstate(divide="ignore", invalid="ignore"):
             brightness = np.log(white / seen)
         self._compared = np.ones(seen.shape, bool)
         if self._is_decoded:
-            whole, _ = self._light(0.0, wavelength_of(lf))
-            brightness -= np.log(whole / self._light(0.0, None)[0])
+            # Of light of a lens alone, and of all lenses.
+            whole, even = (self._light(0.0, wavelength_of(lf), texture)[0] for texture in (1e-3, 1e3))
+            brightness -= np.log(even / self._light(0.0, None, 1e3)[0])
             self._compared = (np.median(weight, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
         # Steps by which the mean points of views are nearer to brighter ones.
-        self._brighter = [np.zeros(len(steps)) for steps in self._steps]
+        self._brighter = [0.0, 0.0]
         if min(seen.shape) >= 3:
             with np.errstate(invalid="ignore"):
-                rises = [np.gradient(brightness, axis=axis, edge_order=2) for axis in (1, 0)]
-            for index, rise in enumerate(rises):
-                finite = np.isfinite(rise)
-                mean = np.where(finite, rise, 0).sum(index) / np.maximum(finite.sum(index), 1)
-                self._brighter[index] = self._spread[index] * mean
+                rises = np.ma.masked_invalid(np.gradient(brightness, edge_order=2)[::-1])
+            self._brighter = [
+                spread * rise.mean(axis).filled(0)
+                for axis, (spread, rise) in enumerate(zip(self._spread, rises, strict=True))
+            ]
         self._weight = ((weight >= LEAST) & self._compared[..., None, None]).astype(np.float32)
 
-    @property
-    def narrowed(self) -> float:
-        """Fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
+    def narrowed(self, slope: float) -> float:
+        """Return the fraction by which blur brings the mean points of views nearer to the middle, for a disparity."""
         views = np.stack(np.meshgrid(*self._steps)) * self._compared
-        if not self._is_decoded or not views.any():
-            return 0.0
-        light, sums = self._light(0.0, wavelength_of(self._lf))
-        return float(1 - (sums / light * views).sum() / np.square(views).sum())
+        return float(-(self._moved_by(slope) * views).sum() / max(np.square(views).sum(), 1))
 
     @property
     def _is_decoded(self) -> bool:
@@ -65,21 +62,26 @@ class ViewComparison:
         attributes = self._lf.attrs
         return bool(attributes.get("camera") and attributes.get("grid")) and min(self._lf.shape[:2]) >= 3
 
-    def _light(self, slope: float, wavelength: float | None) -> tuple[Array, Array]:
+    def _light(self, slope: float, wavelength: float | None, texture: float) -> tuple[Array, Array]:
         """Return the light of the views by the camera, and its sums; see `light_of_views`."""
-        between = self._spread[0] - 1 / 12, self._spread[1] - 1 / 12
-        alike = alike_pixels(self._texture, slope)
         u, v = (tuple(steps.tolist()) for steps in self._steps)
-        return light_of_views(camera_of(self._lf), wavelength, between, alike, u, v)
+        return light_of_views(camera_of(self._lf), wavelength, self._spread, texture, slope or 1e-9, u, v)
+
+    def _moved_by(self, slope: float) -> Array:
+        """Return by how many steps (2, v, u) blur moves the mean points of the views that are compared."""
+        if not self._is_decoded:
+            return np.zeros((2, *self._compared.shape))
+        light, sums = self._light(slope, wavelength_of(self._lf), self._texture)
+        return (sums / light - np.stack(np.meshgrid(*self._steps))) * self._compared
 
     def _places(self, slope: float) -> tuple[Array, Array]:
         """Return the mean points at which views along v, and along u, see the pupil, in views from the centre."""
-        u, v = (steps + brighter for steps, brighter in zip(self._steps, self._brighter, strict=True))
-        if self._is_decoded:
-            light, sums = self._light(slope, wavelength_of(self._lf))
-            moved_by = (sums / light - np.stack(np.meshgrid(*self._steps))) * self._compared
-            u = u + moved_by[0].sum(0) / np.maximum(self._compared.sum(0), 1)
-            v = v + moved_by[1].sum(1) / np.maximum(self._compared.sum(1), 1)
+        u, v = (
+            steps + brighter + moved_by.sum(axis) / np.maximum(self._compared.sum(axis), 1)
+            for axis, (steps, brighter, moved_by) in enumerate(
+                zip(self._steps, self._brighter, self._moved_by(slope), strict=True)
+            )
+        )
         return v, u
 
     def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
@@ -159,12 +161,11 @@ class ViewComparison:
                         for i, horizontal in enumerate(_sides(across)):
                             if vertical * horizontal:
                                 sums[j, i] += np.float32(vertical * horizontal) * moments
-            halves = (sums.sum((0, 1)), *sums.sum(1), *sums.sum(0))
-            for index, (count, total, square) in enumerate(halves):
-                count_safe = np.maximum(count, 1e-6)
-                variance[index] += np.maximum(square / count_safe - (total / count_safe) ** 2, 0)
-                mean[index] += total / count_safe
-                views[index] += count
+            count, total, square = np.stack([sums.sum((0, 1)), *sums.sum(1), *sums.sum(0)], 1)
+            level = total / np.maximum(count, 1e-6)
+            variance += np.maximum(square / np.maximum(count, 1e-6) - level**2, 0)
+            mean += level
+            views += count
         channels = lf.sizes.get("c", 1)
         return variance / channels, mean / channels, views / channels, noise
 

@@ -204,11 +204,11 @@ def _by_moves(slopes: Array, plane: Array, offset: Array, disparities: Array) ->
     return np.where(np.isfinite(refined) & (before * after > 0) & (before < at) & (at < after), refined, disparities)
 
 
-def _off(lf: xr.DataArray, disparities: Array, narrowed: float) -> Array:
+def _off(lf: xr.DataArray, disparities: Array, narrowed: Array | float) -> Array:
     """Return the deviations of errors that depths of these disparities have whatever the noise, over the tolerance.
 
     Of an unfocused camera, shifts of less than a quarter of a lens at the pupil's rim are found up to a twentieth too
-    small; over a whole lens, deviations cancel. By what part blur has `narrowed` the pupil is known to a third.
+    small; over a whole lens, deviations cancel. By what part blur has `narrowed` the pupil is known to a quarter.
     """
     camera = camera_of(lf)
     steps = view_steps(lf, "u").max()
@@ -216,7 +216,7 @@ def _off(lf: xr.DataArray, disparities: Array, narrowed: float) -> Array:
     if is_focused(lf):
         off = _OFF * moved
     else:
-        off = np.hypot(0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25), narrowed / 3 * moved)
+        off = np.hypot(0.05 * np.minimum(moved, 1 - moved).clip(1e-9, 0.25), narrowed / 4 * moved)
     # What moves as far as the tolerance, in lenses at the pupil's rim; infinity is right.
     right = RIGHT * camera.mla_distance / distance_of(lf, disparities) * camera.pupil_step / camera.row_pitch * steps
     return np.divide(off, right, out=np.zeros_like(off), where=right > 0)
@@ -228,17 +228,15 @@ def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
     Their confidence is 0, and their views agree best within twice the tolerance of the nearest or the farthest plane.
     """
     unknown = depth.confidence.values == 0
-    reach = 1 + 2 * RIGHT
-    near = depth.attrs["near"]
-    far = depth.attrs["far"]
+    near, far = depth.attrs["near"], depth.attrs["far"]
     position = depth.disparity.values
     if "depth" in depth:
-        near = near * reach
-        far = far / reach
-        position = distance_of(depth.disparity.assign_attrs(depth.attrs), position)
+        near *= 1 + 2 * RIGHT
+        far /= 1 + 2 * RIGHT
+        position = distance_of(depth, position)
     else:
-        near = near + 2 * _RIGHT_SHIFT
-        far = far - 2 * _RIGHT_SHIFT
+        near += 2 * _RIGHT_SHIFT
+        far -= 2 * _RIGHT_SHIFT
     return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
 
 
@@ -304,7 +302,7 @@ def _aberrated(lf: xr.DataArray, radii: Array) -> Array:
     points = lens.points(np.column_stack([radii, 0 * radii]), np.full(len(radii), 1 / distance))
     landed = [np.broadcast_arrays(*lens.bind(points).land(tuple(pupil), tuple(point))) for point in points]
     moved = np.mean(landed, axis=-1) * views
-    return np.asarray(moved.sum((1, 2)) / np.square(views).sum() - camera.defocus(distance))
+    return moved.sum((1, 2)) / np.square(views).sum() - camera.defocus(distance)
 
 
 def _default_search(lf: xr.DataArray) -> tuple[float, float]:
@@ -387,12 +385,10 @@ def disagreement_of_planes(
             raise InputError("micro_images: they are of another camera than the light field, or of another part of it")
         lenses = LensComparison(images)
         measure: Callable[[float], Any] = lenses.disagreement
-        narrowed = 0.0
         samples = LENSES
     else:
         views = ViewComparison(lf)
         measure = views.disagreement
-        narrowed = views.narrowed
         samples = VIEWS
     brightness = scipy.ndimage.gaussian_filter(central, 2.0)
     measured = np.empty((5, len(slopes), *lf.shape[2:4]), dtype=np.float32)
@@ -407,6 +403,7 @@ def disagreement_of_planes(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
+    narrowed = 0.0 if is_focused(lf) else np.array([views.narrowed(float(slope)) for slope in slopes])
     off = _off(lf, slopes, narrowed)[:, None, None] if lf.attrs.get("camera") else 0.0
     if is_focused(lf):
         off = off * np.hypot(1, lenses.moved_by_errors() * np.abs(slopes[:, None, None]) / _OFF)

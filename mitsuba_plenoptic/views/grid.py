@@ -206,7 +206,7 @@ def array_places(camera: PlenopticCamera, centres: Array) -> Doubles:
     p = (centres + camera.crop_offset - np.array(camera.resolution) / 2) * camera.pixel_size
     position = np.moveaxis(rays.chief_point(camera, p), -1, 0)
     nearer, _ = camera.tilted_growth(camera.array_height(*position))
-    return np.asarray(position * nearer)
+    return position * nearer
 
 
 def lens_types(camera: PlenopticCamera, centres: Array) -> Array:
@@ -234,7 +234,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
 def lens_numbers(camera: PlenopticCamera) -> Integers:
     """Return a number for the lens of each recorded pixel's chief ray, (rows, columns)."""
     i, j = lenses_of_pixels(camera)
-    return np.asarray((i - i.min()) * (np.ptp(j) + 1) + j - j.min())
+    return (i - i.min()) * (np.ptp(j) + 1) + j - j.min()
 
 
 def lattice_rows(vectors: Array, tolerance: float = 1e-9, like: Lattice | None = None) -> tuple[Array, bool]:

@@ -171,7 +171,7 @@ class LensComparison:
         # Noise makes up most of the squares where texture is weak.
         squares = np.maximum(0.2 * squares * count, np.square(slope)) + 1e-300
         apart = math.sqrt(np.mean([vector @ vector for *_, vector in self._pairs(1)]))
-        return np.asarray(_UNEVEN[bool(self._images.types.any())] * light * slope / (squares * apart))
+        return _UNEVEN[bool(self._images.types.any())] * light * slope / (squares * apart)
 
     def _pairs(self, apart: int) -> list[tuple[tuple[slice, slice], tuple[slice, slice], Array]]:
         """Each pair of neighbouring lenses once, as blocks of lenses, blocks of neighbours, and their offset.

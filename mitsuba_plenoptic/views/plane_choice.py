@@ -133,7 +133,7 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
         before_gap = (np.isfinite(energy) & side & ~joined).any(axis=0)
         needed = np.where(before_gap, 0.06, 0.15)
         beyond |= ~(wall - least > needed * (typical - least))
-    probability = np.where(np.asarray(beyond), 0, probability)
+    probability = np.where(beyond, 0, probability)
     return Choice(plane, probability, agreeing >= 0.5, rival)
 
 
@@ -164,7 +164,7 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     before, at, after = (np.log(probability[inner + step, row, column] + 1e-300) for step in (-1, 0, 1))
     bend = 2 * at - before - after
     offset = np.divide(after - before, 2 * bend, out=np.zeros_like(bend), where=bend > 0)
-    plane = np.asarray(best + np.where(inner == best, offset.clip(-0.5, 0.5), 0))
+    plane = best + np.where(inner == best, offset.clip(-0.5, 0.5), 0)
     # An average holds so many times the independent samples of a bin, whose window has a standard deviation of 1.
     averaged, explained, samples_near, independent, noise = (
         scipy.ndimage.gaussian_filter(quantity, (0, _AVERAGED, _AVERAGED), mode="nearest")
@@ -245,7 +245,7 @@ def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: np.ndarray | floa
 def _normalised(logarithm: np.ndarray) -> np.ndarray:
     """Return normalised probabilities over the planes, from logarithms of relative ones."""
     values = np.exp(logarithm - logarithm.max(axis=0))
-    return np.asarray(values / values.sum(axis=0))
+    return values / values.sum(axis=0)
 
 
 def _with_neighbours(probability: np.ndarray) -> np.ndarray:
@@ -280,6 +280,6 @@ def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndar
         index = np.minimum(plane.astype(np.int64), len(probability) - 1)
         left = below[index, row, column]
         right = below[index + 1, row, column]
-        return np.asarray(left + (plane - index) * (right - left))
+        return left + (plane - index) * (right - left)
 
     return up_to(high) - up_to(low)

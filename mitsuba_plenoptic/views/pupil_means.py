@@ -1,13 +1,15 @@
 r"""The mean point of the pupil that the samples of a view see: blur mixes light of other points, which the rim cuts.
 
 With the pupil's transmission A and the light k of one pupil point over the samples of a lens, a sample at u reads
-:math:`\int A(P)\, k(u - P)\, d^2P`, whose mean point is that of the integrand. It is nearer to the pupil's middle than
-u, by which views would show too little parallax.
+:math:`\sum_n \int A(P)\, k(u - P - n N)\, d^2P` from lenses n pitches away, whose micro-images are N pixels apart. At
+a disparity :math:`\delta` in lenses per view, what these show at P a lens itself shows at :math:`P - n / \delta`. The
+mean of these points is nearer to the pupil's middle than u, by which views would show too little parallax.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from typing import Any
 
@@ -21,41 +23,44 @@ from ..optics import in_millimetres
 from ..runtime import Doubles
 
 # Samples across a pixel, and the most across the grid.
-_SAMPLES = 8
-_MOST = 1024
+_SAMPLES = 4
+_MOST = 512
 
 # Deviation, over that of a texture's autocorrelation, of the Gaussian of the scene's movement between two points of the
 # pupil up to which light of one moves the view of the other; light that moves farther agrees with nothing.
-_ALIKE = 2.0
+_ALIKE = 1.6
 
 
-def alike_pixels(texture: float, slope: float) -> float:
-    """Return within how many pixels points of the pupil show alike what has a disparity; see `texture_of`."""
-    # Quarters of octaves are fine enough, and few.
-    return 2 ** (round(4 * math.log2(_ALIKE * texture / max(abs(slope), 1e-9))) / 4)
-
-
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=256)
 def light_of_views(
     camera: PlenopticCamera,
     wavelength: float | None,
-    between: tuple[float, float],
-    alike: float,
+    spreads: tuple[float, float],
+    texture: float,
+    slope: float,
     u: tuple[float, ...],
     v: tuple[float, ...],
 ) -> tuple[Doubles, Doubles]:
     """Return the light (v, u) of views at steps along the pupil, and the sums (2, v, u) of light times its u and v.
 
-    `between` are variances in squared pixels, along u and v, of the pixels between which samples are interpolated, and
-    `alike` says within how many pixels the light of pupil points agrees.
+    `spreads` are variances in squared pixels, along u and v, of the light of samples; see `spread_of_samples`.
+    `texture` is that of `texture_of`, and `slope` the disparity, not 0.
     """
-    along, spectra, spread = _pupil(camera, wavelength, *between)
-    near = np.exp(-np.square(along / alike) / 2)
-    transfer = scipy.fft.rfft2(spread * near * near[:, None])
-    images = (scipy.fft.irfft2(spectrum * transfer, spread.shape) for spectrum in spectra)
-    columns, rows = (np.rint(np.divide(steps, along[1])).astype(int) % len(along) for steps in (u, v))
-    light, *sums = (image[np.ix_(rows, columns)] for image in images)
-    return np.maximum(light, 1e-6), np.stack(sums)
+    samples, spectra, spread, around = _pupil(camera, wavelength, spreads)
+    count = spectra.shape[1]
+    places = np.arange(-(count // 2), count // 2) / samples
+    kernels = np.zeros((3, count, count))
+    for lenses in around:
+        x, y = (np.exp(-np.square((places * slope + away) / (_ALIKE * texture)) / 2) for away in lenses)
+        pixels = lenses * camera.micro_image_pitch / camera.pixel_size
+        column, row = (len(spread) - count) // 2 - np.rint(pixels * samples).astype(int)
+        light = spread[row : row + count, column : column + count] * x * y[:, None]
+        kernels += light * np.array([1, *(-lenses / slope)])[:, None, None]
+    near, *beside = scipy.fft.rfft2(scipy.fft.ifftshift(kernels, axes=(1, 2)))
+    columns, rows = (np.rint(np.multiply(steps, samples)).astype(int) % count for steps in (u, v))
+    spectra = [spectra[0] * near, *(spectra[1:] * near + spectra[0] * np.stack(beside))]
+    light, *sums = scipy.fft.irfft2(spectra, (count, count))[:, rows[:, None], columns]
+    return np.maximum(light, 1e-6), np.asarray(sums)
 
 
 def texture_of(lf: xr.DataArray) -> float:
@@ -75,11 +80,11 @@ def texture_of(lf: xr.DataArray) -> float:
 
 @functools.lru_cache(maxsize=4)
 def _pupil(
-    camera: PlenopticCamera, wavelength: float | None, across: float, down: float
-) -> tuple[Doubles, list[Any], Doubles]:
-    """Return places in pixels; spectra of the pupil, and of it times both; and the light of one of its points.
+    camera: PlenopticCamera, wavelength: float | None, spreads: tuple[float, float]
+) -> tuple[int, Any, Doubles, Doubles]:
+    """Return samples a pixel; spectra of the pupil, and of it times both coordinates; the light of one of its points.
 
-    Places begin in the middle, as those of Fourier transforms.
+    Last are places (lenses, 2) of a lens and those around it, in pitches. The light's middle is that of its array.
     """
     radius = camera.pupil_radius / camera.pupil_step
     # Light of a lens that reaches farther than this meets itself from the other side.
@@ -89,26 +94,32 @@ def _pupil(
     along = scipy.fft.fftfreq(count, samples / count)
     x, y = np.meshgrid(along, along)
     pupil = camera.aperture.power(-x / radius, -y / radius)
-    spectra = [scipy.fft.rfft2(values) for values in (pupil, pupil * x, pupil * y)]
-    spread = scipy.fft.irfft2(_transfer(camera, wavelength, (across, down), count, samples), (count, count))
-    return along, spectra, spread
+    spectra = scipy.fft.rfft2(pupil * np.stack([np.ones_like(x), x, y]))
+    # Light from both sides of the grid meets twice as far away as the lenses around.
+    around = np.array([*itertools.product((-1, 0, 1), repeat=2)]) @ camera.lattice.regular.basis / camera.row_pitch
+    reach = 2 * around.max() * camera.micro_image_pitch / camera.pixel_size
+    wide = count + 2 * math.ceil(reach * samples)
+    spread = scipy.fft.irfft2(_transfer(camera, wavelength, spreads, wide, samples), (wide, wide))
+    return samples, spectra, scipy.fft.fftshift(spread), around
 
 
 def _transfer(
-    camera: PlenopticCamera, wavelength: float | None, between: tuple[float, float], count: int, samples: int
+    camera: PlenopticCamera, wavelength: float | None, spreads: tuple[float, float], count: int, samples: int
 ) -> Doubles:
     """Return the Fourier transform, as of `rfft2`, of the light of one pupil point over the samples of a lens."""
     fx, fy = scipy.fft.rfftfreq(count, 1 / samples), scipy.fft.fftfreq(count, 1 / samples)[:, None]
     transfer = DetectorOperator.of(camera).transfer(fx, fy)
     # A pixel, and the pixels between which a sample is interpolated.
-    for frequency, variance in ((fx, between[0]), (fy, between[1])):
-        transfer = transfer * np.sinc(frequency) * np.sinc(frequency * math.sqrt(12 * variance))
+    for frequency, variance in zip((fx, fy), spreads, strict=True):
+        transfer = transfer * np.sinc(frequency) * np.sinc(frequency * math.sqrt(12 * variance - 1))
     # Of a pupil point, a lens that is out of focus there shows its aperture, times this shift in pixels.
-    smear = abs(camera.pupil_shift(camera.mla_focal_lengths[0])) / camera.pupil_step
-    if smear:
-        aperture = camera.lattice.aperture_image(1 / samples, smear)
-        aperture = np.pad(aperture, (0, max(0, count - len(aperture))))[:count, :count]
-        transfer = transfer * np.abs(scipy.fft.rfft2(aperture))
+    smears = [abs(camera.pupil_shift(f2)) / camera.pupil_step for f2 in camera.mla_focal_lengths]
+    images = (camera.lattice.aperture_image(1 / samples, smear)[:count, :count] for smear in smears)
+    transforms = (
+        scipy.fft.rfft2(image, (count, count)) * np.exp(2j * np.pi * (fx + fy) * (len(image) // 2 / samples))
+        for image in images
+    )
+    transfer = transfer * sum(transform.real for transform in transforms) / len(smears)
     if wavelength is not None:
         # The spot's transform is the autocorrelation of the aperture, at distances that are frequencies times this.
         lag = in_millimetres(wavelength) * camera.reduced_distance / camera.pixel_size
@@ -118,4 +129,4 @@ def _transfer(
         row, column = (np.rint(np.abs(f) * count / samples).astype(int).ravel() for f in (fy, fx))
         shared = pairs[np.ix_(np.minimum(row, len(opening)), np.minimum(column, len(opening)))] / pairs[0, 0]
         transfer = transfer * shared
-    return np.asarray(transfer)
+    return transfer

@@ -96,7 +96,7 @@ def _square_in_aperture(half: int, samples: int, aperture: Opening, radius: floa
         upto = np.insert(np.cumsum(means, axis), 0, 0, axis)
         first = np.arange(2 * half + 1) * finer
         means = (upto.take(first + samples * finer, axis) - upto.take(first, axis)) / (samples * finer)
-    return np.asarray(means)
+    return means
 
 
 def _square_in_disc(x: Array, y: Array, radius: float) -> Array:
@@ -117,12 +117,12 @@ def _disc_below(x: Array, y: Array) -> Array:
     half = np.sqrt(1 - y * y)
     middle = x.clip(-half, half)
     within = _half_disc(middle) - _half_disc(-half)
-    return np.asarray(within + y * (middle + half) + np.where(y > 0, 2 * (_half_disc(x) - within), 0))
+    return within + y * (middle + half) + np.where(y > 0, 2 * (_half_disc(x) - within), 0)
 
 
 def _half_disc(x: Array) -> Array:
     """Return the area of the upper half of the unit disc up to x."""
-    return np.asarray((x * np.sqrt(1 - x * x) + np.arcsin(x)) / 2 + np.pi / 4)
+    return (x * np.sqrt(1 - x * x) + np.arcsin(x)) / 2 + np.pi / 4
 
 
 # Micro-images drawn at once.
@@ -318,7 +318,7 @@ def recorded_white(
         ),
         (
             common,
-            (1 / 4),
+            1 / 4,
             f"{common:.0%} of its light is distributed over the micro-images as the camera distributes it: it must be "
             "by this camera and fill the view of the whole pupil",
         ),

@@ -94,7 +94,7 @@ def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Ob
     expected = np.transpose(terms(across, up, oblique.degree))
     factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
     both = np.concatenate([np.broadcast_to(np.eye(functions.count), (len(expected), *light.shape)), factors], axis=1)
-    return np.asarray(np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected))
+    return np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected)
 
 
 def _images(
@@ -158,7 +158,7 @@ def sampled_kernels(
         kernels = np.concatenate([kernels, np.pad(small, [(0, 0), (aside, aside), (aside, aside)])])
     # Coarse grids sample so few lags that light would be lost or gained.
     missing = np.eye(len(kernels))[0] - kernels.sum((1, 2))
-    return np.asarray(kernels + missing[:, None, None] * (kernels[0] / kernels[0].sum()))
+    return kernels + missing[:, None, None] * (kernels[0] / kernels[0].sum())
 
 
 def _placed(
@@ -295,7 +295,7 @@ def _transfer(
     # The weights are real.
     result[:, :farthest] = result[:, :farthest:-1, ::-1].conj()
     # The normalisation uses the sampled open area, which conserves the energy.
-    return np.asarray(result / np.float32(measure.sum()))
+    return result / np.float32(measure.sum())
 
 
 def _symmetry(T: NDArray[Any], weight: Floats, axis: int | tuple[int, int]) -> Floats | None:

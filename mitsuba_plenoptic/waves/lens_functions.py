@@ -82,7 +82,7 @@ class LensFunctions:
     @cached_property
     def combined(self) -> Doubles:
         """Coefficients (monomials, functions) of the functions."""
-        return np.asarray(self.triangle @ self.functions)
+        return self.triangle @ self.functions
 
     def best(self, count: int, tolerance: float, points: tuple[Doubles, Doubles], images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
@@ -157,7 +157,7 @@ def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles
 
     def of_some(rows: slice) -> Doubles:
         apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
-        return np.asarray(values[rows].T @ (apart @ values))
+        return values[rows].T @ (apart @ values)
 
     # 128: Points of a lens whose distances from all others are computed at a time, so that these fit into a cache.
     parts = on_all_cores(of_some, [slice(row, row + 128) for row in range(0, len(u), 128)])
@@ -170,4 +170,4 @@ def _covariance(expected: Doubles) -> Doubles:
     full = expected / (2 * np.pi)
     # 0.5: Mean square of light that is 0 or 1.
     full[0, 0] += 0.5
-    return np.asarray(full)
+    return full

@@ -129,7 +129,7 @@ class PixelKernels:
 def _root(covariance: Doubles) -> Doubles:
     """Return a matrix whose product with its transpose is a covariance."""
     values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0)))
+    return vectors * np.sqrt(np.maximum(values, 0))
 
 
 def _patterns(kernels: Doubles, covariance: Doubles, tolerance: float) -> Doubles:
@@ -164,7 +164,7 @@ def _sharpened(kernels: Doubles, order: int) -> Doubles:
         np.sinc(frequency(n)) ** -order
         for n, frequency in zip(size, (scipy.fft.fftfreq, scipy.fft.rfftfreq), strict=True)
     ]
-    return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(wide) * (sharp[0][:, None] * sharp[1]), size))
+    return scipy.fft.irfft2(scipy.fft.rfft2(wide) * (sharp[0][:, None] * sharp[1]), size)
 
 
 def _by_places(kernels: Doubles, parts: int) -> Doubles:

@@ -186,7 +186,7 @@ class PupilDiffraction:
         # Where hardly anything passes, noise would be amplified.
         ratio = np.stack([spectrum[low] for spectrum in spectra]) * passed.conj()
         ratio /= np.maximum(np.abs(passed) ** 2, USUAL.least_transfer * np.abs(passed))
-        return np.asarray(scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2)))
+        return scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2))
 
     @single_threaded_blas()
     def _fields(self, places: Doubles, powers: list[tuple[int, int]]) -> dict[tuple[int, int], NDArray[np.complex128]]:

@@ -431,7 +431,7 @@ def density_of(values: Floats) -> Doubles:
         square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
     root = np.sqrt(square)
     # 0.05: Part of the mean density that is added, as other coefficients may be nonzero where the first is 0.
-    return np.asarray(root + 0.05 * root.mean())
+    return root + 0.05 * root.mean()
 
 
 def divided(density: Doubles) -> tuple[Doubles, Doubles]:

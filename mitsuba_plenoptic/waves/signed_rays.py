@@ -353,7 +353,7 @@ class SignedRaySum(RaySum):
                 (box.left, box.columns, window.left, window.columns),
             )
         )
-        return np.asarray(rows[:, None] | columns)
+        return rows[:, None] | columns
 
     def propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
         """Propagate the gradient of the sum, by channel (rows, columns), to what `estimate` depends on.

@@ -183,17 +183,18 @@ def test_lenses_out_of_focus_do_not_move_depths(distance=221):
     assert abs(np.median(distance_of(lf, found.disparity.values)) / distance - 1) < 0.004
 
 
-@pytest.mark.parametrize(("model", "changes"), [
-    ("wave", {}), ("ray", {"detector_blur": 0.004}), ("ray", {"distortion": (-0.03, 0, 0, 0, 0)}),
-    ("ray", {"aperture_radius": 4.1}),
+@pytest.mark.parametrize(("model", "texels", "changes"), [
+    ("wave", 32, {}), ("wave", 10, {}), ("wave", 10, {"mla_lattice": "hexagonal"}),
+    ("ray", 32, {"detector_blur": 0.004}), ("ray", 32, {"distortion": (-0.03, 0, 0, 0, 0)}),
+    ("ray", 32, {"aperture_radius": 4.1}),
 ])  # fmt: skip
-def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, changes):
+def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, changes):
     """A spot's middle is 0.9 pixels from its first zero."""
     camera = mp.PlenopticCamera(focal_length=42, **{
         "aperture_radius": 2.9, "focus_distance": 350, "mla_pitch": 0.05, "mla_focal_length": 0.35,
         "detector_width": 0.9, "resolution": (216, 216),
     } | changes)  # fmt: skip
-    lf = mp.decode(wall(600, camera, np.random.default_rng(1).random((32, 32)), model=model))
+    lf = mp.decode(wall(600, camera, np.random.default_rng(1).random((texels, texels)), model=model))
     assert abs(np.median(depth_map(lf).depth[3:-3, 3:-3]) / 600 - 1) < 0.004
 
 

@@ -317,7 +317,7 @@ class WhiteRecording:
     def bins(self, pixels: LensPixels) -> Array:
         """Return the bin in the mean micro-image of each pixel."""
         column, row = (np.rint(_BINS * offsets).astype(int) + self.side // 2 for offsets in (pixels.x, pixels.y))
-        return np.asarray(row * self.side + column)
+        return row * self.side + column
 
     def judged(self, position: Array, zones: list[Array], field: FieldNumbers, show: Progress) -> Judgement:
         """Return how well zones' lenses at places (n, 2) agree with the model."""

@@ -53,7 +53,7 @@ class CellSet:
         row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
         inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
-        return np.asarray(np.where(inside, self.start[row] + along, len(self)))
+        return np.where(inside, self.start[row] + along, len(self))
 
     def grown(self, low: Integers, high: Integers) -> CellSet:
         """Return the cells reached from this set by steps from `low` to `high`, both included."""
@@ -98,7 +98,7 @@ class BinCells:
         )
         along_y, along_x = np.broadcast_arrays(y[:, None, :, None], x[None, :, None, :])
         positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
-        return np.asarray(positions + cell @ self.vectors)
+        return positions + cell @ self.vectors
 
     def middle(self, cell: Integers) -> Doubles:
         """Return the middles (..., 2) of cells on the MLA, in the camera frame."""

@@ -230,4 +230,4 @@ def _over_bins(spread: Floats, width: int) -> Floats:
 def _over_pixels(parts: Floats, count: int, start: int) -> Floats:
     """Return sums along pixels, each of `count` parts, of parts moved on by `start`, transposed; one pixel is added."""
     padded = np.pad(parts, ((0, 0), (start, count - start)))
-    return np.asarray(padded.reshape(len(parts), -1, count).sum(-1).T)
+    return padded.reshape(len(parts), -1, count).sum(-1).T

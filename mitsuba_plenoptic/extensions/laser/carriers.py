@@ -53,7 +53,7 @@ class PupilGrid:
 
     def along(self, axis: int) -> Doubles:
         """Return the coordinates of the samples along an axis (0: x, 1: y)."""
-        return np.asarray(self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch)
+        return self.middle[axis] + (np.arange(self.count) - self.count // 2) * self.pitch
 
 
 class Carrier(Protocol):
@@ -182,7 +182,7 @@ class Spheres:
         X, Y = self._images[points].T
         away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
         sphere = self._path(X**2 + Y**2) - self._path(away)
-        return np.asarray(waves - sphere - self._lens.aberration((x[:, None], y[:, None]), self._wavelength))
+        return waves - sphere - self._lens.aberration((x[:, None], y[:, None]), self._wavelength)
 
     def _path(self, square: Any) -> Any:
         return _sphere(square, self._distance, self._wavelength)

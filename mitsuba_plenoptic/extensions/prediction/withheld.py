@@ -64,7 +64,7 @@ class Withheld:
 
 def misfit(electrons: Array, predicted: Array, dark_variance: float) -> Array:
     """Return the squared difference of each pixel over the variance of its noise, estimated from the pixel."""
-    return np.asarray((electrons - predicted) ** 2 / (np.maximum(electrons, 1) + dark_variance))
+    return (electrons - predicted) ** 2 / (np.maximum(electrons, 1) + dark_variance)
 
 
 def by_lens(values: Array, chosen: Array, part: PartPixels) -> Array:
