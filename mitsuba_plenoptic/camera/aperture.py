@@ -242,7 +242,7 @@ class Apodised(_Outlined):
     def cells(self) -> Doubles:
         """Return the power at the centres of small cells, which the circle cuts."""
         along = ((np.arange(_CELLS) + 0.5) * (2 / _CELLS) - 1) ** 2
-        return np.asarray(self._power(along + along[:, None]))
+        return self._power(along + along[:, None])
 
     def __str__(self) -> str:
         return f"{self.a2:g}, {self.a4:g}"

@@ -41,7 +41,7 @@ class PassSpread:
     def deviation(self) -> Floats:
         """Return the standard deviation of the mean of two or more passes, with the shape of the image."""
         variance = self._squares / np.float32((self._passes - 1) * self._samples)
-        return np.asarray(np.sqrt(np.maximum(variance, 0)))
+        return np.sqrt(np.maximum(variance, 0))
 
 
 def keep_spread(task: SumTask, camera: PlenopticCamera) -> SumTask:

@@ -191,7 +191,7 @@ class ThinLens(ClosedLens):
 
     def images(self, points: Doubles) -> Doubles:
         """Return the positions (n, 2) on the MLA of the rays from scene points (n, 3) through the pupil's centre."""
-        return np.asarray(rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil.distance))
+        return rays.conjugate_coordinate(points[:, :2], points[:, 2:], self.pupil.distance)
 
     def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given `images` and `inverse_distance`."""

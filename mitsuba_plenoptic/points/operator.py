@@ -173,7 +173,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
             Radiance of each point times the solid angle that it covers, seen from the main lens's image side.
         """
         (wavelength,) = {spectral_sum.wavelength for spectral_sum in self._channels.parts(1)}
-        return np.asarray(brightness_at(self._plans.system_at(wavelength), self.points) * light)
+        return brightness_at(self._plans.system_at(wavelength), self.points) * light
 
     @one_at_a_time
     def forward(self, weights: Any, *, job: Job | None = None) -> Floats:

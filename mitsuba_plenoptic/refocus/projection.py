@@ -157,7 +157,7 @@ def bin_image(image: Array, x: AxisBins, y: AxisBins, radius: float) -> Array:
     width = across * channels
     thread = dr.arange(types.UInt32, down * width)
     sums = _sums(types, by_row, y, thread // width, thread % width, width)
-    return np.asarray(sums.numpy()).reshape(down, across, channels)
+    return sums.numpy().reshape(down, across, channels)
 
 
 def _sums(types: Any, values: Any, bins: AxisBins, index: Any, base: Any, stride: int, limit: Any = None) -> Any:

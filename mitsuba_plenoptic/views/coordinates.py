@@ -129,7 +129,7 @@ def lens_places(camera: PlenopticCamera, bins: LensGrid, axis: int) -> Array:
     """Return the coordinates in mm, on the array, of an upright grid's bins along x (axis 0) or y (axis 1)."""
     pixel = bins.offset[axis] + bins.spacing[axis] * np.arange(bins.shape[1 - axis]) + camera.crop_offset[axis]
     p = (pixel - camera.resolution[axis] / 2) * camera.pixel_size
-    return np.asarray(rays.chief_point(camera, p))
+    return rays.chief_point(camera, p)
 
 
 def camera_of(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:

@@ -15,7 +15,7 @@ import xarray as xr
 
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
 from ..design import objective_of
-from ..errors import InputError, refuse_if, short_repr, suggest_keywords
+from ..errors import InputError, refuse_if, short_repr, suggest_keywords, warn
 from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
 from ..runtime import Floats, Progress, as_pixels, require_memory
 from .coordinates import DIMS, light_field
@@ -267,6 +267,13 @@ def lens_samples(
     growth = np.ones(lenses.shape)
     if camera is not None:
         growth *= camera.tilted_growth(camera.array_height(*array_places(camera, lenses.centres())))[1]
+        overlap = 2 * camera.pupil_radius / camera.pupil_step - lenses.nearest_distance
+        # Half a pixel: no view is lost to less.
+        if overlap > 0.5:
+            warn(
+                f"camera: its micro-images overlap by {overlap:.3g} pixels: samples more than {reach:.3g} from their "
+                "middles, which the next lens lights, are left out"
+            )
     sampled = partial(_sampled, lenses=lenses, growth=growth, half=half)
     offset = np.arange(-half, half + 1)
     away = np.hypot(offset[:, None], offset)

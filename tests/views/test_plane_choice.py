@@ -188,7 +188,7 @@ def test_lenses_out_of_focus_do_not_move_depths(distance=221):
     ("ray", 32, {"detector_blur": 0.004}), ("ray", 32, {"distortion": (-0.03, 0, 0, 0, 0)}),
     ("ray", 32, {"aperture_radius": 4.1}),
 ])  # fmt: skip
-def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, changes):
+def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, changes, recwarn):
     """A spot's middle is 0.9 pixels from its first zero."""
     camera = mp.PlenopticCamera(focal_length=42, **{
         "aperture_radius": 2.9, "focus_distance": 350, "mla_pitch": 0.05, "mla_focal_length": 0.35,
@@ -196,6 +196,7 @@ def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, cha
     } | changes)  # fmt: skip
     lf = mp.decode(wall(600, camera, np.random.default_rng(1).random((texels, texels)), model=model))
     assert abs(np.median(depth_map(lf).depth[3:-3, 3:-3]) / 600 - 1) < 0.004
+    assert any("overlap" in str(each.message) for each in recwarn) == ("aperture_radius" in changes)
 
 
 # Where lenses are sharp before the array, and where the card's image is, in detector distances; its texture in lenses;
