@@ -229,9 +229,7 @@ class Spectrum:
                     new = new - (old @ new) * old
             basis_rows.append(new / np.linalg.norm(new))
         basis = np.array(basis_rows)
-        return replace(
-            self, nodes=tuple(np.asarray(middle + half * np.linalg.eigvalsh((basis * x) @ basis.T)).tolist())
-        )
+        return replace(self, nodes=tuple((middle + half * np.linalg.eigvalsh((basis * x) @ basis.T)).tolist()))
 
     @property
     def computed(self) -> tuple[float, ...]:

@@ -16,7 +16,6 @@ from ..camera import PlenopticCamera, are_alike
 from ..design import focus_types
 from ..errors import LONGEST, InputError, require_count, require_number, suggest_keywords
 from ..fields import OpticalSystem
-from ..lenses import undistort
 from ..runtime import Array, Progress, counted, require_memory
 from .agreement import ViewComparison, finer_stripes, spread_of_samples
 from .coordinates import (
@@ -262,11 +261,13 @@ def _straightened(lf: xr.DataArray, disparities: Array) -> Array:
         slope -= np.interp(radius, radii, _aberrated(lf, radii))
     slope -= height / (camera.pupil_distance - height)
     if any(camera.distortion):
-        # Lenses see as others without distortion, farther apart by the mean of the map's slopes along x and y.
-        step = 1e-4 * camera.detector_width
-        wide, tall = (undistort(x + dx, y + dy, camera.distortion) for dx, dy in ((step, 0), (0, step)))
-        narrow, low = (undistort(x - dx, y - dy, camera.distortion) for dx, dy in ((step, 0), (0, step)))
-        slope *= (wide[0] - narrow[0] + tall[1] - low[1]) / (4 * step)
+        # Lenses see as others without distortion, farther apart by the mean of the map's slopes along x and y, in the
+        # middle of those that see a bin's point: near the field's edges they are on one side.
+        move = np.abs(disparities) * view_steps(lf, "u").max() * camera.row_pitch
+        x, y = ((np.maximum(at - move, at.min()) + np.minimum(at + move, at.max())) / 2 for at in (x, y))
+        k1, k2, k3, p1, p2 = camera.distortion
+        square = x * x + y * y
+        slope *= 1 + square * (2 * k1 + square * (3 * k2 + square * 4 * k3)) + 4 * (p1 * x + p2 * y)
     return -slope * size
 
 

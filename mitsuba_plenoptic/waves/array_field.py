@@ -78,7 +78,7 @@ class LensWaves:
         step = self.lattice.pitches[0] / samples
         along = (np.arange(count) + 0.5 - count / 2) * step
         v, u = np.meshgrid(along, along, indexing="ij")
-        return u, v, np.asarray(self.lattice.in_aperture(*self.lattice.from_frame(u, v)))
+        return u, v, self.lattice.in_aperture(*self.lattice.from_frame(u, v))
 
     def cosines(self) -> Doubles:
         """Return the direction cosines (n, 2) on the array, in the array's frame, of light from the pupil."""

@@ -24,7 +24,7 @@ class PupilSamples:
         self.aperture = aperture
         # Power that passes at points of a grid that divides the samples, its means, and its integral over the square.
         x = along(USUAL.pupil_samples * USUAL.sample_points)
-        fine = np.asarray(aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x))
+        fine = aperture.power(x + 0 * x[:, None], x[:, None] + 0 * x)
         self.power = means(fine, USUAL.pupil_samples)
         self.whole = float(self.power.mean()) * 4
         # Mean transmission of the samples, rows of rising y, with the aberrations as its phase.

@@ -185,7 +185,7 @@ def test_lenses_out_of_focus_do_not_move_depths(distance=221):
 
 @pytest.mark.parametrize(("model", "texels", "changes"), [
     ("wave", 32, {}), ("wave", 10, {}), ("wave", 10, {"mla_lattice": "hexagonal"}),
-    ("ray", 32, {"detector_blur": 0.004}), ("ray", 32, {"distortion": (-0.03, 0, 0, 0, 0)}),
+    ("ray", 32, {"detector_blur": 0.004}), ("ray", 32, {"distortion": (0.06, 0, 0, 0, 0)}),
     ("ray", 32, {"aperture_radius": 4.1}),
 ])  # fmt: skip
 def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, changes, recwarn):
@@ -195,7 +195,9 @@ def test_neither_blur_nor_distortion_nor_overlap_moves_depths(model, texels, cha
         "detector_width": 0.9, "resolution": (216, 216),
     } | changes)  # fmt: skip
     lf = mp.decode(wall(600, camera, np.random.default_rng(1).random((texels, texels)), model=model))
-    assert abs(np.median(depth_map(lf).depth[3:-3, 3:-3]) / 600 - 1) < 0.004
+    error = depth_map(lf).depth.values / 600 - 1
+    corners = np.hypot(*(np.indices(error.shape) - 8.5)) > 8
+    assert abs(np.median(error[3:-3, 3:-3])) < 0.004 and (model == "wave" or abs(np.nanmedian(error[corners])) < 0.005)
     assert any("overlap" in str(each.message) for each in recwarn) == ("aperture_radius" in changes)
 
 
