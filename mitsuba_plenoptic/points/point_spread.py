@@ -73,7 +73,7 @@ def point_spread_function(
     if model == "ray":
         wavelength = None if wavelength is None else require_wavelength(wavelength)
         spread = ray_spread(camera, point, 2 * sample_pairs(_RAYS)[:, :2] - 1, wavelength).astype(np.float32)
-        return np.asarray(DetectorOperator.of(camera).forward(spread))
+        return DetectorOperator.of(camera).forward(spread)
     if wavelength is None:
         raise InputError("wavelength = None: waves need one")
     operator = CaptureOperator(camera, point[None], wavelength=wavelength, method=method, accuracy=0)

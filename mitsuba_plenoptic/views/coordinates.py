@@ -154,7 +154,7 @@ def grid_of(lf: xr.DataArray) -> LensGrid | None:
     return LensGrid(**_record(lf, "grid")) if lf.attrs.get("grid") else None
 
 
-def wavelength_of(lf: xr.DataArray) -> float | None:
+def wavelength_of(lf: xr.DataArray | xr.Dataset) -> float | None:
     """Return the wavelength in nanometres at which a light field's lenses diffract, None for one by rays."""
     return require_wavelength(json.loads(lf.attrs["wavelength"])) if lf.attrs.get("wavelength") else None
 
@@ -200,10 +200,11 @@ def view_steps(lf: xr.DataArray, axis: str) -> Array:
 
 
 def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
-    """Return a light field's camera; refuse one whose points do not move evenly from view to view."""
+    """Return a light field's camera, at its wavelength; refuse one whose points move unevenly from view to view."""
     camera = camera_of(lf)
     camera.require_lens("an even parallax between views")
-    return camera
+    wavelength = wavelength_of(lf)
+    return camera if wavelength is None else camera.at_wavelength(wavelength)
 
 
 def channel_planes(lf: xr.DataArray) -> list[Array]:

@@ -96,7 +96,7 @@ def _pupil(
     pupil = camera.aperture.power(-x / radius, -y / radius)
     spectra = scipy.fft.rfft2(pupil * np.stack([np.ones_like(x), x, y]))
     # Light from both sides of the grid meets twice as far away as the lenses around.
-    around = np.array([*itertools.product((-1, 0, 1), repeat=2)]) @ camera.lattice.regular.basis / camera.row_pitch
+    around = np.array([*itertools.product(range(-1, 2), repeat=2)]) @ camera.lattice.regular.basis / camera.row_pitch
     reach = 2 * around.max() * camera.micro_image_pitch / camera.pixel_size
     wide = count + 2 * math.ceil(reach * samples)
     spread = scipy.fft.irfft2(_transfer(camera, wavelength, spreads, wide, samples), (wide, wide))

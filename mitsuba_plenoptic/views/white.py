@@ -183,7 +183,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     traced = traced or moved > 0.02 * camera.pixel_size or bool(camera.mla_cra)
     if uneven or (grid is None and traced):
         # What differs over the field depends on where the camera has its lenses.
-        return np.asarray(DetectorOperator.of(camera).forward(_traced(camera)))
+        return DetectorOperator.of(camera).forward(_traced(camera))
     require_support(camera, Use.LENS_CENTRES)
     camera = camera.regular
     tables = [PupilFraction(camera, lens_type) for lens_type in range(len(camera.mla_focal_lengths))]
@@ -226,7 +226,7 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         first = index.min(initial=image.size)
         added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
-    return np.asarray(DetectorOperator.of(camera).forward(image[half : half + rows, half : half + columns]))
+    return DetectorOperator.of(camera).forward(image[half : half + rows, half : half + columns])
 
 
 def recorded_white(

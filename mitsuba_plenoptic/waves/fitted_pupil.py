@@ -136,7 +136,7 @@ class FittedPupil:
     def covariance(self) -> Doubles:
         """Covariance of the functions' integrals over light with random edges."""
         x, y = (coordinate[:: USUAL.fitted_every] for coordinate in spread_points(self._density))
-        column, row = (np.asarray((coordinate + 1) * (_SAMPLES / 2), int) for coordinate in (x, y))
+        column, row = (((coordinate + 1) * (_SAMPLES / 2)).astype(int) for coordinate in (x, y))
         values = self.functions.values(*self._boxed(x, y), self._shares[:, row, column])
         return edge_covariance(values, x, y, 1.0)
 

@@ -339,26 +339,27 @@ UNEVEN = "mla_transmissions vignetting pupil_apodisation mla_absorption pixel_re
 
 @relation(
     Use.DECODING | Use.RAYS,
-    f"{MOVING} crop_offset crop_size detector_blur mla_rotation",
+    f"{MOVING.replace('distortion', '')} crop_offset crop_size mla_rotation mla_warp",
     "depth",
-    lambda seed: [*UNEVEN.split(), "mla_tilt", "lens_model", "wavefront"],
+    lambda seed: [*UNEVEN.split(), "mla_tilt", "lens_model", "wavefront", "distortion", "detector_blur", "glass"],
 )
 def depth_of_walls(draw):
-    """A wall is where it is, whatever lenses and pupil make of its light, or a fall-off in picture and white.
-
-    Aberrations beyond defocus move depths by the texture.
-    """
-    camera = draw.camera
-    g = camera.focus_distance * float(draw.rng.choice([0.96, 1.03]))
-    capture = mp.render_capture(wall(camera, g), model="ray", spp=16)
+    """A wall is where it is, far from focus, too, whatever dims its light (in picture and white) or mixes it."""
+    camera, model = draw.camera, "wave" if draw.rng.random() < 0.5 and "aperture_blades" not in draw.options else "ray"
+    camera = camera.replace(detector_width=2 * camera.detector_width, resolution=(2 * camera.resolution[0],) * 2)
+    b, most = camera.mla_distance, min(5 * camera.row_pitch / camera.pupil_radius, 0.1)
+    g = b / (b / camera.focus_distance + most * float(draw.rng.uniform(-1, 1)))
+    capture = mp.render_capture(wall(camera, g), model=model, spp=64)
     fall = 1 + 0.7 * np.sin(np.arange(camera.crop_size[0]) / 9, dtype=np.float32)
     picture, white = (np.float32(image * fall) for image in (capture.image, white_image(camera)))
-    ways = mp.decode(capture), mp.decode(picture, camera=camera, white=white)
-    depths = [views.depth_map(lf, 0.97 * g, 1.03 * g, planes=25).depth.values for lf in ways]
+    ways = mp.decode(capture), *([mp.decode(picture, camera=camera, white=white)] if model == "ray" else [])
+    depths = [views.depth_map(lf, 0.93 * g, 1.07 * g, planes=41).depth.values for lf in ways]
     if not all(np.isfinite(depth).any() for depth in depths):
         return None
+    # Aberrations beyond defocus move depths by the texture.
     beyond = float(np.linalg.norm(camera.wavefront[4:]))
-    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), 0.003 + 0.06 * beyond
+    bound = 0.008 if model == "wave" or "detector_blur" in draw.options else 0.005
+    return max(abs(float(np.nanmedian(depth)) / g - 1) for depth in depths), bound + 0.06 * beyond
 
 
 @relation(Use.DECODING | Use.RAYS, MOVING, "depth")

@@ -30,7 +30,7 @@ def test_an_option_makes_a_camera_whose_unit_may_change(name):
 SEEDS = {
     "derivative": 415, "mirror_deconvolved": 12, "channels_deconvolved": 14, "channels_incoherent": 19, "reverse": 2,
     "units_incoherent": 1, "white_of_scenes": 4, "detector_by_waves": 1, "product_rule": 500, "wide_array": 208,
-    "units_of_scenes_by_waves": 203, "channels_of_scenes_by_waves": 213, "refusals": 2, "depth_of_walls": 54,
+    "units_of_scenes_by_waves": 203, "channels_of_scenes_by_waves": 213, "refusals": 2, "depth_of_walls": 3015,
     "lamp_deconvolved": 202, "planes_deconvolved": 204, "function_deconvolved": 6, "white_capture": 201,
     "white_deconvolved": 507, "white_incoherent": 502, "quarter_turn": 501, "array_partial": 501, "blur": 601,
     "single_laser_point": 609, "part_ray": 602, "short_waves": 604, "seeds_of_scenes_by_waves": 610,
