@@ -131,7 +131,7 @@ def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> Plenoptic
 def write_hci(folder: Path, lf: xr.DataArray, depth: Array | None, *, name: str) -> int:
     """Write a light field to a folder of the 4D Light Field Benchmark; return the number of views in a row.
 
-    The depth of the central view in millimetres is written, too, if known.
+    Views beyond the square within the pupil are left out. The central depth in millimetres is written, too, if known.
     """
     camera = camera_of(lf)
     refuse_if(not camera.lens_data.converges, "light field: its camera has no plane at a distance; save it as .nc")
