@@ -70,8 +70,8 @@ def make_class() -> type:
         are such cameras.
 
         With ``mla_lattice`` ``none`` this is an ordinary camera: a ray starts at a detector point and passes a random
-        point of the exit pupil. The value of a pixel is the mean radiance over the pupil, less what a ``main_lens``
-        vignettes.
+        point of the exit pupil. The value of a pixel is the integral of the radiance over the open exit pupil, divided
+        by the pupil's paraxial area: less than the mean where a ``main_lens`` vignettes, more where its pupil grows.
 
         If a camera disperses light, by ``glass``, ``mla_glass`` or the glasses of ``main_lens``, each ray follows the
         path of one wavelength: in rgb variants that of one channel, drawn evenly (611.4, 549.1 or 464.3 nm, the
