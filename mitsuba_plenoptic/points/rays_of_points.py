@@ -57,7 +57,8 @@ def ray_spread(
             power *= lenslet.gain * walk.lattice.in_aperture(on_array[0] - x, on_array[1] - y)
             before = (on_array[0], on_array[1])
             depth = camera.detector_distance
-            landed, _ = walk.onto_detector(pupil, Passage(before, lenslet))
+            window = lens.in_window(pupil, tuple(point)) if lens.is_uniform else pupil
+            landed, _ = walk.onto_detector(window, Passage(before, lenslet))
         if has_response(camera):
             power *= counts(np.hypot(landed[0] - before[0], landed[1] - before[1]), depth)
         column, row = (
