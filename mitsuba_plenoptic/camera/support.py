@@ -347,7 +347,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             _COLLIMATOR,
         ),
         refused(
-            Use.WHITE_IMAGES | _SCENES | Use.SCENE_POINTS | Use.POINT_RAYS,
+            Use.WHITE_IMAGES | Use.SCENE_DERIVATIVES | Use.SCENE_POINTS | Use.POINT_RAYS,
             "lenses see parts of the stop, not its image",
             "CaptureOperator with method full_field",
             _FOURIER,

@@ -66,6 +66,10 @@ class PupilDiffraction:
         fine: bool = False,
         # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
         shortest: float | None = None,
+        # What is open of the pupil. Default: the camera's aperture.
+        opening: Any = None,
+        # Most cells across a pixel, beyond which rays are displaced by the point spread function.
+        most_cells: int = USUAL.most_airy_cells,
     ) -> None:
         self.camera = camera
         self.wavelength = wavelength
@@ -87,7 +91,7 @@ class PupilDiffraction:
         # Count of cells across a pixel that resolve the diffraction. In front of coarser pixels rays themselves are
         # displaced by the point spread function, without kernels if cells are wider than these.
         cells = math.ceil(pixel / USUAL.airy_cell)
-        self.is_coarse = cells > USUAL.most_airy_cells
+        self.is_coarse = cells > most_cells
         self._is_wide = pixel > USUAL.coarse_cells * USUAL.coarse_reach
         self._cells = USUAL.coarse_cells if self.is_coarse else cells
         # Coefficients of the aberrations in the kernels; rays of the optical system follow the others.
@@ -99,13 +103,17 @@ class PupilDiffraction:
         by_rays = np.trim_zeros(coefficients - in_kernels, "b")
         self.system = OpticalSystem(camera.replace(wavefront=tuple(by_rays.tolist())), wavelength)
         waves = in_kernels * (WAVEFRONT_UNIT / wavelength)
-        self._opening = camera.aperture, tuple(waves.tolist()) if waves.any() else ()
+        self._opening = opening or camera.aperture, tuple(waves.tolist()) if waves.any() else ()
         is_aberrated = np.linalg.norm(in_kernels) > USUAL.small_aberration
         # The pupil may have closed parts between open ones that matter: in coarse pixels they do not.
         is_coded = camera.aperture_image is not None and not self.is_coarse
         self._is_fitted = bool(is_coded or is_aberrated)
         accuracy = FINER if fine or is_aberrated else USUAL
         self._degree = accuracy.part_degree if is_coded else accuracy.pupil_degree
+
+    def of_kind(self, kind: int) -> PupilDiffraction:
+        """Return this diffraction, which is that of the only lens."""
+        return self
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel."""

@@ -54,6 +54,7 @@ from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
 from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
+from .stop_image import StopSampler
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
 
 _BLOCK_BYTES = 2**27
@@ -167,7 +168,8 @@ class SignedRaySum(RaySum):
         self._parts = parts
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
+        kind = StopSampler if camera.lens_data.images_stop else LensSampler if camera.has_array else PupilSampler
+        self._sampler: Any = kind(camera, plans, parts)
         # 2: Rays from each pixel through each lens at the least, as two halves of them correct each other.
         least = -(-2 // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
@@ -178,7 +180,7 @@ class SignedRaySum(RaySum):
         # Rays of a pixel and a lens in a pass.
         self._together = self._spp * parts**2
         # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
-        self._coefficients = coefficients_of(plans)
+        self._coefficients = coefficients_of(plans, len(self._sampler.enlargements))
         # Kernels of each node, each kind of lenses and each set of values of a ray, and their rows in a node's images.
         self._kernels = [self._pixel_kernels(plan) for plan in plans]
         self._rows = [_rows_of(kinds) for kinds in self._kernels]
@@ -451,9 +453,9 @@ class SignedRaySum(RaySum):
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
-                alike.setdefault(self._coefficients[number].layout, []).append(number)
+                alike.setdefault(self._coefficients[number][batch.kind].layout, []).append(number)
             arguments = [
-                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
+                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0], batch.kind)]
                 for numbers in alike.values()
             ]
             # Any function may be the light; derivatives and band-limited light may be negative.
@@ -467,7 +469,7 @@ class SignedRaySum(RaySum):
             cosines = self._sampler.cosines(batch.pixels.take(pixels))
             for numbers, of_rays in zip(alike.values(), arguments, strict=True):
                 mixtures = [self._nodes[number].mixture(colours) for number in numbers]
-                sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
+                sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers, batch.kind)
                 for number, images in zip(numbers, sums, strict=True):
                     values = [interleaved(of_image) for of_image in images] if only is None else images
                     means[number] = CellMeans(index, cosines, values)
@@ -483,6 +485,7 @@ class SignedRaySum(RaySum):
         controls: list[Pair],
         mixtures: Sequence[tuple[list[int], list[list[Any]]]],
         numbers: Sequence[int],
+        kind: int,
     ) -> list[list[list[Any]]]:
         """Return the mean values over the rays of each cell of some pixels, for each image of some nodes.
 
@@ -508,7 +511,7 @@ class SignedRaySum(RaySum):
                 residuals = [
                     at_rays(value, first + k) - control for value, control in zip(light, controls, strict=True)
                 ]
-                sets = self._values(number, arguments)
+                sets = self._values(number, kind, arguments)
                 of_node = []
                 for row, before in zip(weights, images, strict=True):
                     residual = weight * mixed(row, residuals)
@@ -524,8 +527,8 @@ class SignedRaySum(RaySum):
         nodes = [self._nodes[number] for number in numbers]
         cells = dr.width(pixel)
         nothing = [
-            [[dr.zeros(mi.Float, cells) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
-            for node in nodes
+            [[dr.zeros(mi.Float, cells) for _ in range(self._sets * functions.count)] for _ in node.channels]
+            for node, functions in ((node, node.plan.of_kind(kind).functions) for node in nodes)
         ]
         end = dr.opaque(mi.UInt32, self._spp)
         # Loops that only add up are differentiated in reverse without their states.
@@ -534,14 +537,14 @@ class SignedRaySum(RaySum):
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[value / rays for value in values] for values in images] for images in sums]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int, kind: int) -> list[Any]:
         """Return the arguments of `_values` for rays."""
-        ray = samples.ray
-        return self._coefficients[node_index].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
+        coefficients: Any = self._coefficients[node_index][kind]
+        return coefficients.places(samples.lens_point, samples.round_pupil, samples.chance, samples.ray.valid)
 
-    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, kind: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
-        return [(self._coefficients[node_index].read(*arguments), None)]
+        return [(self._coefficients[node_index][kind].read(*arguments), None)]
 
     def _cells_of(self, pixels: Any) -> Triple:
         """Return, for each cell of some pixels, its pixel and its first ray, among all rays and among the pixel's."""
@@ -621,7 +624,7 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
         [type(plan).__name__, cameras, repr((plan.wavelength, plan.options)), grid.parts, kind],
         lambda: plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind),
     )
-    return grid.for_pixels(plan, kernels, keeps_light=True)
+    return grid.for_pixels(plan.of_kind(kind), kernels, keeps_light=True)
 
 
 @functools.lru_cache(maxsize=4)
