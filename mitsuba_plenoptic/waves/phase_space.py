@@ -57,7 +57,7 @@ from .array_kernels import (
     oblique_kernels,
     sampled_kernels,
 )
-from .lens_functions import LensFunctions
+from .lens_functions import LegendreProducts, LensFunctions
 from .oblique import Oblique
 
 FINE = 0.005
@@ -610,6 +610,8 @@ class Polynomials:
     def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
         """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
         functions = self.plan.functions
+        if isinstance(functions, LegendreProducts):
+            return functions.at_rays(u, v)
         terms = monomials(u, v, functions.exponents)
         if shares:
             terms = [share * term for share in shares for term in terms]

@@ -38,7 +38,7 @@ from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, single_threaded_blas
+from ..runtime import Doubles, Pair, exponents, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -57,6 +57,9 @@ class PupilDiffraction:
 
     tolerance = 0.001
     """Part of images of random light that may be missing for want of images of the places in a pixel."""
+
+    combines = False
+    """Whether images of functions are combined where pixels are not divided, too."""
 
     def __init__(
         self,
@@ -144,10 +147,9 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        if isinstance(self.functions, LensFunctions):
+        if not self.fitted:
             points = spread_points(self._pupil.power)
             return self.functions.light(*(coordinate[:: USUAL.pupil_every] for coordinate in points))
-        assert self.fitted
         return self.fitted.covariance
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
@@ -210,7 +212,7 @@ class PupilDiffraction:
         # Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels).
         powers = [(0, 0)] if self.fitted else self.functions.exponents
         combined = np.ones((1, 1)) if self.fitted else self.functions.combined
-        products = of_middles(powers, self._fields(places, powers))
+        products = of_middles(powers, self._fields(places, exponents(max(map(sum, powers)))))
         spacing = 2 / USUAL.pupil_samples
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:

@@ -610,7 +610,8 @@ class _Grid(NamedTuple):
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
         random_light = plan.covariance, plan.tolerance
-        return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light)
+        combines = getattr(plan, "combines", False)
+        return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light, combines)
 
 
 @functools.lru_cache(maxsize=16)

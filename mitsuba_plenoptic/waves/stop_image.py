@@ -12,6 +12,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -25,9 +26,12 @@ from ..errors import refuse_if
 from ..fields import OpticalSystem, opaque_lattice
 from ..lenses import FourierLens
 from ..rays import LensChoice, Passage, Ray, Walk, chances_of, low_discrepancy
-from ..runtime import Array, Doubles, Pair, drjit_array
+from ..runtime import Array, Doubles, Pair, drjit_array, single_threaded_blas
+from .accuracy import FINER, USUAL
+from .lens_functions import LegendreProducts
 from .oblique import Oblique
 from .pupil_diffraction import PupilDiffraction
+from .pupil_samples import spread_points
 from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent
 
 _MOST_KINDS = 32
@@ -103,6 +107,32 @@ stop_lenses = functools.lru_cache(maxsize=4)(StopLenses.of)
 """Return the kinds of a camera's lenses, cached for further wavelengths and captures."""
 
 
+class LensDiffraction(PupilDiffraction):
+    """Diffraction of the lit part of a lens at one wavelength."""
+
+    tolerance = 0.002
+    combines = True
+
+    def __init__(self, alone: PlenopticCamera, wavelength: float, fine: bool, shortest: float | None, part: LitPart):
+        """Take the lens and the detector behind it as a camera without an array."""
+        super().__init__(alone, wavelength, fine, shortest, part, _MOST_CELLS)
+        refuse_if(
+            self.is_coarse,
+            f"detector_width = {alone.detector_width:g}: pixels of {alone.pixel_size:.3g} mm are too coarse for the "
+            f"diffraction of lenses, which is {self.unit:.3g} mm wide: wave captures of an array in the image of the "
+            f"stop need pixels of {_MOST_CELLS * USUAL.airy_cell * self.unit:.2g} mm or less",
+        )
+        self._symmetric = math.isinf(part.stop_radius)
+        accuracy = FINER if fine else USUAL
+        self._degree = accuracy.lens_degree if self._symmetric else accuracy.pupil_degree
+
+    @cached_property
+    @single_threaded_blas()
+    def functions(self) -> Any:
+        """Functions of a ray's point on the lens."""
+        return LegendreProducts(*spread_points(self._pupil.power), self._degree, self._symmetric)
+
+
 class StopImage:
     """Diffraction of a camera in the Fourier arrangement at one wavelength: a `PupilDiffraction` for each kind."""
 
@@ -124,8 +154,8 @@ class StopImage:
             detector_width=camera.detector_width,
             resolution=camera.resolution,
         )
-        self.kinds = [
-            PupilDiffraction(alone, wavelength, fine, shortest, part, _MOST_CELLS) for part in self.lenses.parts
+        self.kinds: list[LensDiffraction] = [
+            LensDiffraction(alone, wavelength, fine, shortest, part) for part in self.lenses.parts
         ]
         self.reach = self.kinds[0].reach
         self.widths = self.kinds[0].widths
@@ -134,7 +164,7 @@ class StopImage:
         """Return the number of cells of the grid across a pixel."""
         return self.kinds[0].parts(fine)
 
-    def of_kind(self, kind: int) -> PupilDiffraction:
+    def of_kind(self, kind: int) -> LensDiffraction:
         """Return the diffraction of a kind of lenses."""
         return self.kinds[kind]
 
