@@ -329,10 +329,6 @@ class PhaseSpace:
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
         return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
-    def of_kind(self, kind: int) -> PhaseSpace:
-        """Return this plan, whose functions are those of all kinds of lenses."""
-        return self
-
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
         return [coordinate / self.functions.scale for coordinate in self.waves.lattice.to_frame(*point)]
@@ -408,15 +404,10 @@ def _rules(waves: LensWaves, lands_by_point: bool) -> list[tuple[str, bool, str]
     ]
 
 
-def coefficients_of(plans: Sequence[Any], kinds: int) -> list[list[RayCoefficients | Polynomials]]:
-    """Return the objects that compute the coefficients of rays for plans, for each kind of lenses."""
+def coefficients_of(plans: Sequence[Any]) -> list[RayCoefficients | Polynomials]:
+    """Return the objects that compute the coefficients of rays for plans."""
     tabulate([plan for plan in plans if not plan.lands_by_point])
-    return [
-        [Polynomials(plan.of_kind(kind)) for kind in range(kinds)]
-        if plan.lands_by_point
-        else [RayCoefficients(plan, plan.table)] * kinds
-        for plan in plans
-    ]
+    return [Polynomials(plan) if plan.lands_by_point else RayCoefficients(plan, plan.table) for plan in plans]
 
 
 def tabulate(plans: Sequence[PhaseSpace]) -> None:

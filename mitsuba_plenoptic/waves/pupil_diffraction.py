@@ -58,9 +58,6 @@ class PupilDiffraction:
     tolerance = 0.001
     """Part of images of random light that may be missing for want of images of the places in a pixel."""
 
-    combines = False
-    """Whether images of functions are combined where pixels are not divided, too."""
-
     def __init__(
         self,
         # One with glass is taken `at_wavelength`.
@@ -113,10 +110,6 @@ class PupilDiffraction:
         self._is_fitted = bool(is_coded or is_aberrated)
         accuracy = FINER if fine or is_aberrated else USUAL
         self._degree = accuracy.part_degree if is_coded else accuracy.pupil_degree
-
-    def of_kind(self, kind: int) -> PupilDiffraction:
-        """Return this diffraction, which is that of the only lens."""
-        return self
 
     def parts(self, fine: bool) -> int:
         """Return the number of cells of the grid across a pixel."""

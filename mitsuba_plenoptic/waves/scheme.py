@@ -14,16 +14,16 @@ from .accuracy import FINER, USUAL
 from .array_field import LensWaves
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
-from .stop_image import StopImage
+from .stop_image import LensDiffraction
 
-Plan = PhaseSpace | PupilDiffraction | StopImage
+Plan = PhaseSpace | PupilDiffraction | LensDiffraction
 """The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
 
 
-def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction | StopImage:
+def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction | LensDiffraction:
     """Return what has the spots of a camera's lenses, or of its pupil without an array, and their width."""
     if camera.lens_data.images_stop:
-        return StopImage(camera, wavelength)
+        return LensDiffraction(camera, wavelength)
     return (LensWaves if camera.has_array else PupilDiffraction)(camera, wavelength)
 
 
@@ -53,7 +53,7 @@ def plan_of(
     them is far from focus.
     """
     if camera.lens_data.images_stop:
-        return StopImage(camera, wavelength, fine, shortest)
+        return LensDiffraction(camera, wavelength, fine, shortest)
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
     # Light of too many lenses for a pixel is refused before it is planned.

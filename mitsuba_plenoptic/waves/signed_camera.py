@@ -118,7 +118,7 @@ class CameraSum(SignedRaySum):
         slopes = {name: expanded.kernel_slopes(name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int, kind: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
         """Return the arguments of the coefficients of rays, and the rays' changes."""
         _, slope, _ = walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)
         with dr.resume_grad():
@@ -128,12 +128,12 @@ class CameraSum(SignedRaySum):
             changes = [self._change(value) + dr.zeros(mi.Float, dr.width(samples.number)) for value in quantities]
         return [*samples.lens_point, *samples.round_pupil, *samples.chance, samples.ray.valid, *changes]
 
-    def _values(self, node_index: int, kind: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
         x, y, X, Y, *chance = arguments[:8]
         valid, du, dv, dx, dy, measure, density, width = arguments[8:16]
         ray = ((x, y), (X, Y), tuple(chance), valid)
-        table = self._coefficients[node_index][kind]
+        table = self._coefficients[node_index]
         assert isinstance(table, RayCoefficients)  # others are refused
         values = table(*ray)
         by_u, by_v = table.slopes(*ray)

@@ -180,13 +180,14 @@ class SignedRaySum(RaySum):
         # Rays of a pixel and a lens in a pass.
         self._together = self._spp * parts**2
         # Tables and kernels are computed before the images, so that the peaks of their memory do not add up.
-        self._coefficients = coefficients_of(plans, len(self._sampler.enlargements))
+        self._coefficients = coefficients_of(plans)
         # Kernels of each node, each kind of lenses and each set of values of a ray, and their rows in a node's images.
         self._kernels = [self._pixel_kernels(plan) for plan in plans]
         self._rows = [_rows_of(kinds) for kinds in self._kernels]
         self._ranks = [kinds[-1][-1].stop for kinds in self._rows]
         flat = [kernel for kinds in self._kernels for sets in kinds for of_set in sets for kernel in of_set.kernels]
-        self._bins = box_of(camera, margin_of(flat))
+        # Micro-images of some lenses are in a part of the detector alone.
+        self._bins: Box = getattr(plans[0], "pixels", None) or box_of(camera, margin_of(flat))
         values = sum(rank * len(node.channels) for rank, node in zip(self._ranks, nodes, strict=True))
         rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
         self._blocks = blocks_of(
@@ -453,9 +454,9 @@ class SignedRaySum(RaySum):
             # What the coefficients depend on, once for nodes that have those of a ray at the same place of tables.
             alike: dict[Any, list[int]] = {}
             for number in nodes:
-                alike.setdefault(self._coefficients[number][batch.kind].layout, []).append(number)
+                alike.setdefault(self._coefficients[number].layout, []).append(number)
             arguments = [
-                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0], batch.kind)]
+                [dr.select(ray.valid, ray.weight, 0), *self._arguments(samples, walk, numbers[0])]
                 for numbers in alike.values()
             ]
             # Any function may be the light; derivatives and band-limited light may be negative.
@@ -469,7 +470,7 @@ class SignedRaySum(RaySum):
             cosines = self._sampler.cosines(batch.pixels.take(pixels))
             for numbers, of_rays in zip(alike.values(), arguments, strict=True):
                 mixtures = [self._nodes[number].mixture(colours) for number in numbers]
-                sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers, batch.kind)
+                sums = self._cell_means(pixels, of_rays, radiance, controls, mixtures, numbers)
                 for number, images in zip(numbers, sums, strict=True):
                     values = [interleaved(of_image) for of_image in images] if only is None else images
                     means[number] = CellMeans(index, cosines, values)
@@ -485,7 +486,6 @@ class SignedRaySum(RaySum):
         controls: list[Pair],
         mixtures: Sequence[tuple[list[int], list[list[Any]]]],
         numbers: Sequence[int],
-        kind: int,
     ) -> list[list[list[Any]]]:
         """Return the mean values over the rays of each cell of some pixels, for each image of some nodes.
 
@@ -511,7 +511,7 @@ class SignedRaySum(RaySum):
                 residuals = [
                     at_rays(value, first + k) - control for value, control in zip(light, controls, strict=True)
                 ]
-                sets = self._values(number, kind, arguments)
+                sets = self._values(number, arguments)
                 of_node = []
                 for row, before in zip(weights, images, strict=True):
                     residual = weight * mixed(row, residuals)
@@ -527,8 +527,8 @@ class SignedRaySum(RaySum):
         nodes = [self._nodes[number] for number in numbers]
         cells = dr.width(pixel)
         nothing = [
-            [[dr.zeros(mi.Float, cells) for _ in range(self._sets * functions.count)] for _ in node.channels]
-            for node, functions in ((node, node.plan.of_kind(kind).functions) for node in nodes)
+            [[dr.zeros(mi.Float, cells) for _ in range(self._sets * node.plan.functions.count)] for _ in node.channels]
+            for node in nodes
         ]
         end = dr.opaque(mi.UInt32, self._spp)
         # Loops that only add up are differentiated in reverse without their states.
@@ -537,14 +537,14 @@ class SignedRaySum(RaySum):
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[value / rays for value in values] for values in images] for images in sums]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int, kind: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
         """Return the arguments of `_values` for rays."""
-        coefficients: Any = self._coefficients[node_index][kind]
-        return coefficients.places(samples.lens_point, samples.round_pupil, samples.chance, samples.ray.valid)
+        ray = samples.ray
+        return self._coefficients[node_index].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
 
-    def _values(self, node_index: int, kind: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
         """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
-        return [(self._coefficients[node_index][kind].read(*arguments), None)]
+        return [(self._coefficients[node_index].read(*arguments), None)]
 
     def _cells_of(self, pixels: Any) -> Triple:
         """Return, for each cell of some pixels, its pixel and its first ray, among all rays and among the pixel's."""
@@ -610,11 +610,10 @@ class _Grid(NamedTuple):
         # A pixel is the mean of its cells. Larger micro-images are darker.
         mean = kernels / (self.parts * self.larger) ** 2
         random_light = plan.covariance, plan.tolerance
-        combines = getattr(plan, "combines", False)
-        return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light, combines)
+        return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light)
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=64)
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     begin_step("kernels of diffraction", 4.0)
@@ -625,7 +624,7 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
         [type(plan).__name__, cameras, repr((plan.wavelength, plan.options)), grid.parts, kind],
         lambda: plan.kernels(camera.pixel_size / grid.parts, plan.reach, kind),
     )
-    return grid.for_pixels(plan.of_kind(kind), kernels, keeps_light=True)
+    return grid.for_pixels(plan, kernels, keeps_light=True)
 
 
 @functools.lru_cache(maxsize=4)

@@ -19,17 +19,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..array import Lattice
+from ..array import Lattice, Lenslet
 from ..camera import PlenopticCamera
 from ..design import lenses_in_stop, pupil_growth
 from ..errors import refuse_if
 from ..fields import OpticalSystem, opaque_lattice
-from ..lenses import FourierLens
-from ..rays import LensChoice, Passage, Ray, Walk, chances_of, low_discrepancy
-from ..runtime import Array, Doubles, Pair, drjit_array, single_threaded_blas
+from ..lenses import FourierLens, main_lens
+from ..rays import LensChoice, Passage, Ray, Walk, chances_of, deflects_cosines, low_discrepancy
+from ..runtime import Array, Box, Doubles, Pair, drjit_array, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .lens_functions import LegendreProducts
-from .oblique import Oblique
 from .pupil_diffraction import PupilDiffraction
 from .pupil_samples import spread_points
 from .ray_sampler import ORDER, CellLenses, DetectorGrid, Pixels, RaySamples, tent
@@ -108,44 +107,19 @@ stop_lenses = functools.lru_cache(maxsize=4)(StopLenses.of)
 
 
 class LensDiffraction(PupilDiffraction):
-    """Diffraction of the lit part of a lens at one wavelength."""
+    """Diffraction of the lenses of one kind at one wavelength, as that of cameras without an array."""
 
-    tolerance = 0.002
-    combines = True
-
-    def __init__(self, alone: PlenopticCamera, wavelength: float, fine: bool, shortest: float | None, part: LitPart):
-        """Take the lens and the detector behind it as a camera without an array."""
-        super().__init__(alone, wavelength, fine, shortest, part, _MOST_CELLS)
-        refuse_if(
-            self.is_coarse,
-            f"detector_width = {alone.detector_width:g}: pixels of {alone.pixel_size:.3g} mm are too coarse for the "
-            f"diffraction of lenses, which is {self.unit:.3g} mm wide: wave captures of an array in the image of the "
-            f"stop need pixels of {_MOST_CELLS * USUAL.airy_cell * self.unit:.2g} mm or less",
-        )
-        self._symmetric = math.isinf(part.stop_radius)
-        accuracy = FINER if fine else USUAL
-        self._degree = accuracy.lens_degree if self._symmetric else accuracy.pupil_degree
-
-    @cached_property
-    @single_threaded_blas()
-    def functions(self) -> Any:
-        """Functions of a ray's point on the lens."""
-        return LegendreProducts(*spread_points(self._pupil.power), self._degree, self._symmetric)
-
-
-class StopImage:
-    """Diffraction of a camera in the Fourier arrangement at one wavelength: a `PupilDiffraction` for each kind."""
-
-    lands_by_point = True
-    """Every ray lands by its own point, and its coefficients are polynomials."""
-
-    def __init__(self, camera: PlenopticCamera, wavelength: float, fine: bool = False, shortest: float | None = None):
-        self.camera = camera
-        self.wavelength = wavelength
-        self.options: dict[str, Any] = {"fine": fine, "shortest": shortest}
-        self.system = OpticalSystem(camera, wavelength)
-        self.lenses = stop_lenses(camera)
-        # A lens and the detector behind it.
+    def __init__(
+        self,
+        camera: PlenopticCamera,
+        wavelength: float,
+        fine: bool = False,
+        shortest: float | None = None,
+        # Number of the kind; the first is that of whole lenses.
+        kind: int = 0,
+    ) -> None:
+        lenses = stop_lenses(camera)
+        part = lenses.parts[kind]
         alone = PlenopticCamera(
             focal_length=camera.reduced_focal_lengths[0],
             aperture_radius=float(camera.lattice.aperture_reach),
@@ -154,32 +128,62 @@ class StopImage:
             detector_width=camera.detector_width,
             resolution=camera.resolution,
         )
-        self.kinds: list[LensDiffraction] = [
-            LensDiffraction(alone, wavelength, fine, shortest, part) for part in self.lenses.parts
-        ]
-        self.reach = self.kinds[0].reach
-        self.widths = self.kinds[0].widths
+        super().__init__(alone, wavelength, fine, shortest, part, _MOST_CELLS)
+        refuse_if(
+            self.is_coarse,
+            f"detector_width = {camera.detector_width:g}: pixels of {camera.pixel_size:.3g} mm are too coarse for the "
+            f"diffraction of lenses, which is {self.unit:.3g} mm wide: wave captures of an array in the image of the "
+            f"stop need pixels of {_MOST_CELLS * USUAL.airy_cell * self.unit:.2g} mm or less",
+        )
+        self.camera = camera
+        self.system = OpticalSystem(camera, wavelength)
+        self.options |= {"kind": kind}
+        self.index = lenses.index[lenses.kind == kind]
+        self._is_whole = kind == 0
+        accuracy = FINER if fine else USUAL
+        self._degree = accuracy.lens_degree if self._is_whole else accuracy.pupil_degree
+        self._reach = alone.aperture_radius
 
-    def parts(self, fine: bool) -> int:
-        """Return the number of cells of the grid across a pixel."""
-        return self.kinds[0].parts(fine)
+    @cached_property
+    @single_threaded_blas()
+    def functions(self) -> Any:
+        """Functions of a ray's point on the lens."""
+        return LegendreProducts(*spread_points(self._pupil.power), self._degree, self._is_whole)
 
-    def of_kind(self, kind: int) -> LensDiffraction:
-        """Return the diffraction of a kind of lenses."""
-        return self.kinds[kind]
+    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+        """Return the numbers of which a ray's coefficients are polynomials: its point on the lens over the reach."""
+        return [coordinate / dr.opaque(mi.Float, self._reach) for coordinate in point]
 
-    @property
-    def oblique(self) -> Oblique:
-        """Changes of the kernels with the direction of light, of which there are none."""
-        return self.kinds[0].oblique
+    @cached_property
+    def pixels(self) -> Box:
+        """Pixels in the micro-images of these lenses, and around their edges."""
+        camera = self.camera
+        centre = np.stack(camera.lattice.centre(*self.index.T))
+        half = MicroImages.of(camera, 1).half
+        corners = [(centre + side * half).T / camera.pixel_size + np.array(camera.resolution) / 2 for side in (-1, 1)]
+        margin = math.ceil(self.reach / camera.pixel_size) + 1
+        window = Box(*camera.crop_offset, *camera.crop_size).within(margin)
+        low = np.maximum(np.floor(corners[0].min(0)), (window.left, window.top))
+        high = np.minimum(np.ceil(corners[1].max(0)), (window.left + window.columns, window.top + window.rows))
+        return Box.between(low, np.maximum(high, low))
 
-    def spots(self, places: Doubles) -> Doubles:
-        """Return the point spread function of a whole lens in focus, as `PupilDiffraction.spots`."""
-        return self.kinds[0].spots(places)
 
-    def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
-        """Return the kernels of a kind of lenses, as `PupilDiffraction.kernels`."""
-        return self.kinds[kind].kernels(step, reach)
+@dataclass(frozen=True)
+class MicroImages:
+    """Outline of micro-images about the centres of their lenses, in millimetres: a disc in a square."""
+
+    radius: float
+    half: float
+
+    @classmethod
+    def of(cls, camera: PlenopticCamera, parts: int) -> MicroImages:
+        """Return the outline by the field stop, with blur out of focus and what is around pixels at the edge."""
+        growth = pupil_growth(camera)
+        blur = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
+        edge = float(camera.lattice.aperture_reach) * blur + camera.pixel_size * (1 + ORDER / parts) / math.sqrt(2)
+        image = float(main_lens(camera).reach) / growth
+        square = camera.main_lens.field_stop_shape == "square"
+        return cls(image + edge, (image * math.sqrt(0.5) if square else image) + edge)
 
 
 class StopSampler(DetectorGrid):
@@ -190,7 +194,9 @@ class StopSampler(DetectorGrid):
 
     order = 2 * ORDER - 1
 
-    def __init__(self, camera: PlenopticCamera, plans: Sequence[StopImage], parts: int = 1) -> None:
+    enlargements = (1.0,)
+
+    def __init__(self, camera: PlenopticCamera, plans: Sequence[LensDiffraction], parts: int = 1) -> None:
         super().__init__(camera, parts)
         opaque = functools.partial(dr.opaque, mi.Float)
         self.walk = replace(
@@ -198,47 +204,27 @@ class StopSampler(DetectorGrid):
             lattice=opaque_lattice(camera, mi.Float),
             detector_distance=opaque(camera.detector_distance),
         )
-        self.choice = LensChoice.of_points([camera])
-        lenses = plans[0].lenses
-        self.enlargements = [1.0] * len(lenses.parts)
-        # Kinds of the lenses in the rectangle of indices around them, with a border of lenses without light.
-        self._first = lenses.index.min(0) - 1
-        table = np.full(lenses.index.max(0) - self._first + 2, len(lenses.parts))
-        table[tuple((lenses.index - self._first).T)] = lenses.kind
-        self._columns, self._rows = table.shape
-        self._kinds = drjit_array(mi.UInt32, table.T.ravel())
-        # Radius in mm of a micro-image, with what is around its edge: pixels, and blur of lenses out of focus.
-        growth = pupil_growth(camera)
-        blur = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
-        edge = float(camera.lattice.aperture_reach) * blur + camera.pixel_size * (1 + ORDER / parts) / math.sqrt(2)
-        self._radius = float(plans[0].system.lens.reach) / growth + edge
-        self._side = math.inf
-        if camera.main_lens.field_stop_shape == "square":
-            self._side = (self._radius - edge) / math.sqrt(2) + edge
+        index = plans[0].index
+        self.choice = LensChoice(
+            tuple(map(tuple, index.tolist())), [drjit_array(mi.Float, column) for column in index.T], fixed=True
+        )
+        self._image = MicroImages.of(camera, parts)
         self._stop_radius = camera.main_lens.blur_diameter(0) / 2
-        area = min(math.pi * self._radius**2, 4 * self._side**2)
-        # Mean number of lenses that light a pixel, in the middle of the detector.
-        self.lit_lenses = min(area / camera.lattice.cell_area, float(lenses.area.sum()))
+        image = min(math.pi * self._image.radius**2, 4 * self._image.half**2)
+        # Mean number of lenses of all kinds that light a pixel, in the middle of the detector.
+        self.lit_lenses = min(image / camera.lattice.cell_area, float(stop_lenses(camera).area.sum()))
 
     def lights(self, lenses: CellLenses) -> Any:
         """Return whether light through the lenses can reach the pixels."""
         x, y = (abs(p - c) for p, c in zip(lenses.position, lenses.centre, strict=True))
-        radius, side = (dr.opaque(mi.Float, length) for length in (self._radius, self._side))
-        near = (dr.hypot(x, y) <= radius) & (dr.maximum(x, y) <= side)
-        return near & (lenses.kind < len(self.enlargements))
+        radius, half = (dr.opaque(mi.Float, length) for length in (self._image.radius, self._image.half))
+        return (dr.hypot(x, y) <= radius) & (dr.maximum(x, y) <= half)
 
     def lenses(self, pixels: Pixels) -> CellLenses:
         """Return the centres of pixels and of the lenses through which they are lit."""
-        x, y = self._middle(pixels)
-        _, cell = self.walk.chief_cell((x, y))
-        i, j = self.choice.at(cell, pixels.lens)
-        lens = self.walk.lenslet(i, j)
-        column, row = (
-            dr.clip(mi.Int32(index) - int(first), 0, size - 1)
-            for index, first, size in zip((i, j), self._first, (self._columns, self._rows), strict=True)
-        )
-        kind = dr.gather(mi.UInt32, self._kinds, mi.UInt32(row * self._columns + column))
-        return CellLenses((x, y), lens.centre, lens.height, kind, lens.gain)
+        position = self._middle(pixels)
+        lens = self.walk.lenslet(*self.choice.at(position, pixels.lens))
+        return CellLenses(position, lens.centre, lens.height, dr.zeros(mi.UInt32, dr.width(pixels.lens)), lens.gain)
 
     def cosines(self, pixels: Pixels) -> Pair:
         """Return direction cosines on which no kernel depends."""
@@ -252,10 +238,11 @@ class StopSampler(DetectorGrid):
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of lenses, and response of pixels."""
         ray = samples.ray
-        slope = [m - p for m, p in zip(ray.m, ray.p, strict=True)]
-        passage = Passage(ray.m, self._lens(samples.lens))
-        _, even, _ = self.walk.out_of_array(ray.p, passage)
-        return self._response(dr.hypot(*slope), self.walk.detector_distance) * samples.lens.gain * even
+        aside = dr.hypot(*(m - p for m, p in zip(ray.m, ray.p, strict=True)))
+        power = self._response(aside, self.walk.detector_distance) * samples.lens.gain
+        if self._camera.mla_medium == 1 and not deflects_cosines(self._camera):
+            return power
+        return power * self.walk.out_of_array(ray.p, Passage(ray.m, self._lens(samples.lens)))[1]
 
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
@@ -280,4 +267,7 @@ class StopSampler(DetectorGrid):
 
     def _lens(self, lenses: CellLenses) -> Any:
         """Return the lenses with their focal lengths."""
+        camera = self._camera
+        if len(camera.mla_focal_lengths) == 1 and not camera.mla_jitter[1]:
+            return Lenslet(lenses.centre, dr.opaque(mi.Float, camera.reduced_focal_lengths[0]), 0.0, lenses.gain)
         return self.walk.lenslet(*self.walk.lattice.cell(*lenses.centre))
