@@ -30,7 +30,7 @@ import numpy as np
 
 from ..optics import in_millimetres
 from ..prescription import Objective
-from ..runtime import Doubles, Pair, Triple, rsqrt, safe_sqrt
+from ..runtime import Doubles, Pair, Triple, minimum, rsqrt, safe_sqrt, sqrt
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .protocol import Entrance, Traced
@@ -173,19 +173,18 @@ class FourierLens(TelecentricLens):
         native = super().entrance
         return replace(native, radius=native.radius + self.window.radius / self.objective.magnification, growth=0.0)
 
-    def in_field(self, x: Any, y: Any) -> Any:
-        """Return whether positions in the native image plane are inside the field stop, if there is one."""
-        if (stop := self.objective.field_stop) is None:
-            return True
+    def field_inset(self, x: Any, y: Any) -> Any:
+        """Return the distance in mm of positions in the native image plane from the field stop's edge, inside it."""
+        stop = math.inf if self.objective.field_stop is None else self.objective.field_stop
         if self.objective.field_stop_shape == "square":
-            return (abs(x) <= stop) & (abs(y) <= stop)
-        return x * x + y * y <= stop * stop
+            return minimum(stop - abs(x), stop - abs(y))
+        return stop - sqrt(x * x + y * y)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the array, where the stop is imaged, through a native image point."""
         stop = position[0] * self.pupil.stop_scale, position[1] * self.pupil.stop_scale
         start, slope, is_open = super().ray(stop, pupil)
-        return start, slope, is_open & self.in_field(*pupil)
+        return start, slope, is_open & (self.field_inset(*pupil) >= 0)
 
     def in_window(self, pupil: Pair, point: Triple) -> Pair:
         """Return where light from a scene point through a point of the stop passes the native image plane."""

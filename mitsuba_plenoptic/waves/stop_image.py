@@ -261,7 +261,7 @@ class StopSampler(DetectorGrid):
         assert isinstance(lens, FourierLens)
         field = tuple(lens.window.point(at, t) for at, t in zip(m, slope, strict=True))
         in_stop = dr.square(m[0]) + dr.square(m[1]) <= dr.opaque(mi.Float, self._stop_radius**2)
-        ray = Ray(start, m, field, dr.ones(mi.Float, dr.width(pixel)), in_stop & emerges & lens.in_field(*field))
+        ray = Ray(start, m, field, dr.ones(mi.Float, dr.width(pixel)), in_stop & emerges & (lens.field_inset(*field) >= 0))
         chance = chances_of(lane, seed ^ (ray_index << 4))
         return RaySamples(ray, aside, aside, lenses, chance, pixel, index, ray_index)
 
