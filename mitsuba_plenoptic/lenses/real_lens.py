@@ -104,7 +104,7 @@ class RealLens(LensSystem):
         return self._own.pupil_reach(self.corner)
 
     @property
-    def window(self) -> Pupil:
+    def window(self) -> Any:
         """The exit pupil, which bounds the directions of rays at the array."""
         return self.pupil
 

@@ -405,9 +405,7 @@ def _behind_field_stop(lens: FourierLens, field: Field, pitch: float, wavelength
     """Return a field on the array as the field stop leaves it: directions there are positions in its plane."""
     with fft.resting_drjit():
         spectrum = fft.fft2(field.copy())
-    y, x = (
-        np.fft.fftfreq(size, pitch) * in_millimetres(wavelength) * lens.window.distance for size in spectrum.shape
-    )
+    y, x = (np.fft.fftfreq(size, pitch) * in_millimetres(wavelength) * lens.window.distance for size in spectrum.shape)
     # The edge is softened over one sample.
     inside = lens.field_inset(x, y[:, None]) / (x[1] - x[0])
     spectrum *= active_backend().arrays.asarray(soft_edge(inside).astype(np.float32))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours, crosstalk_reach, lenses_in_stop, pupil_growth
+from ..design import crosstalk_neighbours, crosstalk_reach, lenses_in_stop, objective_of, pupil_growth
 from ..errors import refuse_if
 from ..lenses import chief_points, main_lens
 from ..runtime import Array, Pair, drjit_array
@@ -88,7 +88,7 @@ class LensChoice:
             refuse_if(not len(lit), "camera: no lens lies in the image of the stop; take narrower lenses")
             if fixed := len(lit) < len(lenses):
                 lenses = lit
-            if square := camera.main_lens.field_stop_shape == "square":
+            if square := objective_of(camera).field_stop_shape == "square":
                 # Half of the square's side, where the reach has half of its diagonal.
                 limits = limits - (1 - math.sqrt(0.5)) * main_lens(camera).reach / pupil_growth(camera)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
@@ -96,8 +96,8 @@ class LensChoice:
         checks = 1 < len(lenses) <= 64
         numbers = [drjit_array(mi.Float, values) for values in (*lenses.T, limits, step, defocus)]
         dr.make_opaque(numbers)
-        limited = numbers[2:] if checks else (None, 1.0, 0.0)
-        return cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *limited, fixed, square)
+        choice = cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *(numbers[2:] if checks else ()))
+        return replace(choice, fixed=fixed, square=square)
 
     @classmethod
     def of_pixels(cls, camera: PlenopticCamera, radius: float, enlargement: float) -> LensChoice:

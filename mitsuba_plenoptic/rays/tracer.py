@@ -213,7 +213,7 @@ class Walk:
     # -- towards the detector ------------------------------------------------------------------------
 
     def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
-        """Return landing points and weights (see `out_of_array`) of rays through window points and an untilted array."""
+        """Return landing points and weights, as in `out_of_array`, of rays through the window and an upright array."""
         mx, my = passage.point
         before = self.lens.window.slope(pupil[0], mx), self.lens.window.slope(pupil[1], my)
         chief = self._chief(passage.lens.centre, 0.0)

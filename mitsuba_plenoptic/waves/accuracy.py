@@ -140,6 +140,14 @@ USUAL = WaveAccuracy()
 """The numbers of usual plans."""
 
 FINER = WaveAccuracy(
-    degree=6, window=13, radial=24, tolerance=0.0012, cells=4.0, most_cells=3, pupil_degree=10, part_degree=7, lens_degree=16
+    degree=6,
+    window=13,
+    radial=24,
+    tolerance=0.0012,
+    cells=4.0,
+    most_cells=3,
+    pupil_degree=10,
+    part_degree=7,
+    lens_degree=16,
 )
 """The numbers of finer plans."""

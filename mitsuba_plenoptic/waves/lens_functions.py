@@ -169,9 +169,8 @@ class LegendreProducts:
     def at_rays(self, u: Any, v: Any) -> list[Any]:
         """Return the values at Dr.Jit points."""
         along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v, dr.opaque)]
-        means = self._means.tolist()
-        products = (along[0][i] * along[1][j] - dr.opaque(mi.Float, mean) for (i, j), mean in zip(self.pairs, means))
-        return [mi.Float(1), *itertools.islice(products, 1, None)]
+        others = zip(self.pairs[1:], self._means[1:].tolist(), strict=True)
+        return [mi.Float(1), *(along[0][i] * along[1][j] - dr.opaque(mi.Float, mean) for (i, j), mean in others)]
 
     def light(self, u: Doubles, v: Doubles) -> Doubles:
         """Return the covariance of the functions' integrals over light with random edges."""

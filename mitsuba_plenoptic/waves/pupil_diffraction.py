@@ -140,9 +140,10 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        if not self.fitted:
+        if not isinstance(self.functions, PupilFunctions):
             points = spread_points(self._pupil.power)
             return self.functions.light(*(coordinate[:: USUAL.pupil_every] for coordinate in points))
+        assert self.fitted
         return self.fitted.covariance
 
     def arguments(self, point: Pair, pupil: Pair) -> list[Any]:

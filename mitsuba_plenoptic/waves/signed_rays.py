@@ -54,8 +54,8 @@ from .pixel_kernels import PixelKernels
 from .pupil_sampler import PupilSampler
 from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
-from .stop_image import StopSampler
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
+from .stop_image import StopSampler
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..array import Lattice, Lenslet
 from ..camera import PlenopticCamera
-from ..design import lenses_in_stop, pupil_growth
+from ..design import lenses_in_stop, objective_of, pupil_growth
 from ..errors import refuse_if
 from ..fields import OpticalSystem, opaque_lattice
 from ..lenses import FourierLens, main_lens
@@ -78,7 +78,9 @@ class StopLenses:
         lattice = camera.lattice
         plain = replace(lattice, displacement=None)
         index, lit = lenses_in_stop(camera)
-        radius = float(camera.main_lens.blur_diameter(0)) / 2
+        # Slivers differ less than this from lenses without light.
+        index, lit = index[lit > _ALIKE], lit[lit > _ALIKE]
+        radius = float(objective_of(camera).blur_diameter(0)) / 2
         along = (np.arange(_SAMPLES) + 0.5) * (2 / _SAMPLES) - 1
         grid = np.meshgrid(along, along)
         whole = LitPart(plain, (0.0, 0.0), math.inf)
@@ -182,7 +184,7 @@ class MicroImages:
         blur = max(abs(camera.pupil_shift(f2)) for f2 in camera.mla_focal_lengths) / growth
         edge = float(camera.lattice.aperture_reach) * blur + camera.pixel_size * (1 + ORDER / parts) / math.sqrt(2)
         image = float(main_lens(camera).reach) / growth
-        square = camera.main_lens.field_stop_shape == "square"
+        square = objective_of(camera).field_stop_shape == "square"
         return cls(image + edge, (image * math.sqrt(0.5) if square else image) + edge)
 
 
@@ -209,7 +211,7 @@ class StopSampler(DetectorGrid):
             tuple(map(tuple, index.tolist())), [drjit_array(mi.Float, column) for column in index.T], fixed=True
         )
         self._image = MicroImages.of(camera, parts)
-        self._stop_radius = camera.main_lens.blur_diameter(0) / 2
+        self._stop_radius = objective_of(camera).blur_diameter(0) / 2
         image = min(math.pi * self._image.radius**2, 4 * self._image.half**2)
         # Mean number of lenses of all kinds that light a pixel, in the middle of the detector.
         self.lit_lenses = min(image / camera.lattice.cell_area, float(stop_lenses(camera).area.sum()))
@@ -261,7 +263,9 @@ class StopSampler(DetectorGrid):
         assert isinstance(lens, FourierLens)
         field = tuple(lens.window.point(at, t) for at, t in zip(m, slope, strict=True))
         in_stop = dr.square(m[0]) + dr.square(m[1]) <= dr.opaque(mi.Float, self._stop_radius**2)
-        ray = Ray(start, m, field, dr.ones(mi.Float, dr.width(pixel)), in_stop & emerges & (lens.field_inset(*field) >= 0))
+        ray = Ray(
+            start, m, field, dr.ones(mi.Float, dr.width(pixel)), in_stop & emerges & (lens.field_inset(*field) >= 0)
+        )
         chance = chances_of(lane, seed ^ (ray_index << 4))
         return RaySamples(ray, aside, aside, lenses, chance, pixel, index, ray_index)
 
