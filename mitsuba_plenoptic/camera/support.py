@@ -44,6 +44,9 @@ _OBJECTIVE = Condition("behind an objective", lambda camera: camera.objective is
 _COLLIMATOR = Condition("behind a collimator", lambda camera: camera.has_array and not camera.refocuses)
 _NOT_THIN = Condition("behind other than thin lenses", lambda camera: not camera.lens_data.is_thin)
 _STOP_IMAGE = Condition("with the array in the image of the stop", lambda camera: camera.lens_data.images_stop)
+_FOURIER = Condition(
+    "in the Fourier arrangement", lambda camera: camera.objective is not None and camera.lens_data.images_stop
+)
 _OBJECT_IMAGE = Condition(
     "behind an objective, with the array in the image of the object",
     lambda camera: camera.objective is not None and not camera.lens_data.images_stop,
@@ -339,9 +342,15 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         approximate(Use.RESPONSES, _ZONES, _PRESCRIPTION),
         refused(
             Use.RAYS | Use.WHITE_IMAGES | _SCENES | Use.SCENE_POINTS | Use.RAY_SPREADS | Use.POINT_RAYS,
-            "the array is in the image of the stop, so that no stop bounds its micro-images",
+            "the array is in the image of the pupil, so that no stop bounds its micro-images",
             "CaptureOperator with method full_field",
-            _STOP_IMAGE,
+            _COLLIMATOR,
+        ),
+        refused(
+            Use.WHITE_IMAGES | Use.SCENE_DERIVATIVES | Use.SCENE_POINTS | Use.POINT_RAYS,
+            "lenses see parts of the stop, not its image",
+            "CaptureOperator with method full_field",
+            _FOURIER,
         ),
         refused(
             Use.POINTS | Use.POINT_DERIVATIVES,

@@ -10,12 +10,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+import numpy as np
+
 from ..camera import PlenopticCamera, one_if_equal
 from ..errors import InputError, refuse_if
 from ..optics import in_millimetres
 from ..prescription import SINGLE, Objective
+from ..runtime import Array, Doubles
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
+
+_POINTS = 128
+"""Points along either side of a lens's aperture by which its lit part is counted."""
 
 
 def objective_of(camera: PlenopticCamera) -> Objective:
@@ -108,6 +114,32 @@ def lenses_across_stop(camera: PlenopticCamera) -> float:
         A microscope in the Fourier arrangement.
     """
     return _fourier(camera).blur_diameter(0) / camera.row_pitch
+
+
+def lenses_in_stop(camera: PlenopticCamera) -> tuple[Array, Doubles]:
+    """Return the lenses of the Fourier arrangement that the stop's image lights, and the part of each that it lights.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+
+    Returns
+    -------
+    index : (lenses, 2) int array
+        Indices of the lenses in the lattice.
+    open : (lenses,) float64 array
+        Lit part of the area of each lens's aperture, above 0.
+    """
+    lattice = camera.lattice
+    radius = _fourier(camera).blur_diameter(0) / 2
+    far = radius + float(lattice.aperture_reach)
+    index = lattice.lenses_within((-far, -far), (far, far))
+    along = (np.arange(_POINTS) + 0.5) / _POINTS
+    aside = np.stack(lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(along, along))))
+    centre = np.stack(lattice.centre(*index.T))
+    lit = (np.hypot(*(centre[:, :, None] + aside[:, None])) <= radius).mean(1)
+    return index[lit > 0], lit[lit > 0]
 
 
 def parallax(camera: PlenopticCamera, position: float) -> float:

@@ -24,6 +24,7 @@ from .protocol import Traced as Traced
 from .pupil_fit import ExitPupil as ExitPupil
 from .pupil_fit import Pupils as Pupils
 from .real_lens import RealLens as RealLens
+from .telecentric import FourierLens as FourierLens
 from .telecentric import TelecentricLens as TelecentricLens
 from .thin import ThinLens as ThinLens
 from .thin import Wavefront as Wavefront

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Self
 
-from ..runtime import Doubles, Pair, sqrt
+from ..runtime import Doubles, Pair, Triple, sqrt
 from .protocol import Light
 from .pupil import Pupil
 
@@ -27,9 +27,18 @@ class ClosedLens(Light):
         """Make a lens without parameters; dataclasses, which derive from it, have their own."""
 
     @property
+    def window(self) -> Pupil:
+        """The exit pupil, which bounds the directions of rays at the array."""
+        return self.pupil
+
+    @property
     def reach(self) -> Any:
-        """Radius of the pupil in millimetres."""
-        return self.pupil.radius
+        """Radius of the window in millimetres."""
+        return self.window.radius
+
+    def in_window(self, pupil: Pair, point: Triple) -> Pair:
+        """Return where light from a scene point through a point of the pupil passes the window."""
+        return pupil
 
     def waves_of(self, points: Doubles) -> Self:
         """Return this lens, whose light is the same for all points."""

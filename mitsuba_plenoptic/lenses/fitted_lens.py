@@ -69,6 +69,11 @@ class FittedLens:
         return Pupil(self.reach, float(self.system.pupil.distance))
 
     @property
+    def window(self) -> Pupil:
+        """The exit pupil, which bounds the directions of rays at the array."""
+        return self.pupil
+
+    @property
     def entrance(self) -> Entrance:
         """Entrance pupil of the lens."""
         entrance: Entrance = self.system.entrance

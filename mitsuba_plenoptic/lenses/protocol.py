@@ -34,8 +34,12 @@ class MainLens(Protocol):
         """Exit pupil, as the MLA sees it."""
 
     @property
+    def window(self) -> Pupil:
+        """What bounds the directions of rays at the MLA: the exit pupil or, in an image of the stop, the field stop."""
+
+    @property
     def reach(self) -> Any:
-        """Radius in mm of a circle that contains the exit pupil as seen from anywhere on the detector."""
+        """Radius in mm of a circle that contains `window` as seen from anywhere on the detector."""
 
     @property
     def is_uniform(self) -> bool:

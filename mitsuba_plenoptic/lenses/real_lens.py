@@ -104,6 +104,11 @@ class RealLens(LensSystem):
         return self._own.pupil_reach(self.corner)
 
     @property
+    def window(self) -> Any:
+        """The exit pupil, which bounds the directions of rays at the array."""
+        return self.pupil
+
+    @property
     def _own(self) -> LensSystem:
         """The lens at the prescription's wavelength, for properties assumed equal at all wavelengths."""
         return self if self.wavelength is None else replace(self, wavelength=None)

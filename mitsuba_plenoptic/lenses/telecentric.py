@@ -15,20 +15,22 @@ an aplanatic lens (Gu, "Advanced Optical Imaging Theory", section 6.1; Broxton e
 deconvolution for the light field microscope", equation 2).
 
 Behind the tube lens, light from P arrives at the native image plane with the direction cosines :math:`s = -P / f_T`,
-whatever the object point. A further lens turns these directions into positions :math:`f_F s` on the image of the stop.
+whatever the object point. A further lens turns these directions into positions :math:`f_F s` on the image of the stop,
+and positions x in the native image plane into slopes :math:`x / f_F` there. In this Fourier arrangement a field stop in
+the native image plane bounds the directions of rays, and the stop their positions.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
 
 from ..optics import in_millimetres
 from ..prescription import Objective
-from ..runtime import Doubles, Pair, Triple, rsqrt, safe_sqrt
+from ..runtime import Doubles, Pair, Triple, minimum, rsqrt, safe_sqrt, sqrt
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
 from .protocol import Entrance, Traced
@@ -108,14 +110,10 @@ class TelecentricLens(ClosedLens):
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the array to the scene; the image side is paraxial."""
-        f = self.pupil.swap
-        if f is not None:
-            position, slope = (f * slope[0], f * slope[1]), (-position[0] / f, -position[1] / f)
-        pupil = slope[0] * self.pupil.distance, slope[1] * self.pupil.distance
-        return self.ray(pupil, position)
+        return self.ray((slope[0] * self.window.distance, slope[1] * self.window.distance), position)
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
-        """Return the ray from a position in the native image plane through a point of the stop."""
+        """Return the ray from a position on the array through a point of the window."""
         behind = self.aim(pupil, position)
         x, y = (t * self.front - m / self.objective.magnification for m, t in zip(position, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
@@ -138,16 +136,9 @@ class TelecentricLens(ClosedLens):
 
     def cosines(self, pupil: Pair, point: Triple) -> Pair:
         """Return the direction cosines, at the array, of light that passed a point of the stop."""
-        if (f := self.pupil.swap) is not None:
-            x, y = self._image(pupil, point)
-            return -x / f, -y / f
         return -pupil[0] / self.pupil.distance, -pupil[1] / self.pupil.distance
 
     def land(self, pupil: Pair, point: Triple) -> Pair:
-        """Return the position on the array of the light from a scene point through a point of the stop."""
-        return self._image(pupil, point) if self.pupil.swap is None else self.pupil.image(pupil, point)
-
-    def _image(self, pupil: Pair, point: Triple) -> Pair:
         r"""Return the position in the native image plane, :math:`-M (X + d \tan\theta)`: the gradient of the path."""
         scale = 1 / (self.objective.immersion * self._cosine(pupil))
         x, y = self._sines(pupil)
@@ -156,7 +147,66 @@ class TelecentricLens(ClosedLens):
         return -M * (X + d * x * scale), -M * (Y + d * y * scale)
 
 
+@dataclass(frozen=True)
+class FourierLens(TelecentricLens):
+    """An objective, and a lens behind its native image that images the stop onto the array: the Fourier arrangement.
+
+    Parameters
+    ----------
+    seen : float
+        Radius in mm of the circle in the native image plane that the detector sees through any lens.
+    """
+
+    seen: float = math.inf
+
+    @property
+    def window(self) -> Pupil:
+        """The native image plane, bounded by what the detector sees and by the circle around the field stop."""
+        lens = self.objective
+        stop = math.inf if lens.field_stop is None else lens.field_stop
+        corner = math.sqrt(2) if lens.field_stop_shape == "square" else 1.0
+        return Pupil(min(self.seen, corner * stop), lens.last_focal_length, finite=0)
+
+    @property
+    def entrance(self) -> Entrance:
+        """Native object plane, and the bounds of rays on the objective's front principal plane."""
+        native = super().entrance
+        return replace(native, radius=native.radius + self.window.radius / self.objective.magnification, growth=0.0)
+
+    def field_inset(self, x: Any, y: Any) -> Any:
+        """Return the distance in mm of positions in the native image plane from the field stop's edge, inside it."""
+        stop = math.inf if self.objective.field_stop is None else self.objective.field_stop
+        if self.objective.field_stop_shape == "square":
+            return minimum(stop - abs(x), stop - abs(y))
+        return stop - sqrt(x * x + y * y)
+
+    def ray(self, pupil: Pair, position: Pair) -> Traced:
+        """Return the ray from a position on the array, where the stop is imaged, through a native image point."""
+        stop = position[0] * self.pupil.stop_scale, position[1] * self.pupil.stop_scale
+        start, slope, is_open = super().ray(stop, pupil)
+        return start, slope, is_open & (self.field_inset(*pupil) >= 0)
+
+    def in_window(self, pupil: Pair, point: Triple) -> Pair:
+        """Return where light from a scene point through a point of the stop passes the native image plane."""
+        return super().land(pupil, point)
+
+    def cosines(self, pupil: Pair, point: Triple) -> Pair:
+        """Return the direction cosines, at the array, of light that passed a point of the stop."""
+        x, y = self.in_window(pupil, point)
+        return -x / self.window.distance, -y / self.window.distance
+
+    def land(self, pupil: Pair, point: Triple) -> Pair:
+        """Return the position on the array of the light from a scene point through a point of the stop."""
+        return self.pupil.image(pupil, point)
+
+
 @builds(Objective)
 def telecentric_lens(numbers: LensNumbers) -> TelecentricLens:
     """Return the main lens of a camera that has an objective."""
-    return TelecentricLens(cast(Objective, numbers.camera.main_lens))
+    camera = numbers.camera
+    objective = cast(Objective, camera.main_lens)
+    if not objective.images_stop:
+        return TelecentricLens(objective)
+    # From a corner of the detector through the opposite edge of the stop's image.
+    aside = math.hypot(camera.detector_width, camera.detector_height) / 2 + objective.blur_diameter(0) / 2
+    return FourierLens(objective, aside / camera.reduced_distance * objective.last_focal_length)

@@ -25,7 +25,7 @@ from ..fields import (
     is_paraxial,
     scattering,
 )
-from ..lenses import ClosedLens, ExitPupil, PointLight, ThinLens, cone
+from ..lenses import ClosedLens, ExitPupil, FourierLens, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
 from ..runtime import Doubles, Field, Pair, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
@@ -391,12 +391,26 @@ def stop_image_arrival(
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
         with fft.resting_drjit():
             guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft.fft2(field.copy())))
+    if isinstance(lens, FourierLens) and lens.objective.field_stop is not None:
+        field = _behind_field_stop(lens, field, grids.pitch, wavelength)
     stop = SampledField(
         field[::-1, ::-1],
         (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
         sample,
     )
     return stop, Arrival(field * np.float32(abs(scale)), 0, ())
+
+
+def _behind_field_stop(lens: FourierLens, field: Field, pitch: float, wavelength: float) -> Field:
+    """Return a field on the array as the field stop leaves it: directions there are positions in its plane."""
+    with fft.resting_drjit():
+        spectrum = fft.fft2(field.copy())
+    y, x = (np.fft.fftfreq(size, pitch) * in_millimetres(wavelength) * lens.window.distance for size in spectrum.shape)
+    # The edge is softened over one sample.
+    inside = lens.field_inset(x, y[:, None]) / (x[1] - x[0])
+    spectrum *= active_backend().arrays.asarray(soft_edge(inside).astype(np.float32))
+    with fft.resting_drjit():
+        return fft.fft2(spectrum, inverse=True)
 
 
 def _stop_field(

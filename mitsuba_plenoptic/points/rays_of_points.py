@@ -10,6 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera, Use, require_support
 from ..fields import OpticalSystem, has_response
+from ..lenses import ClosedLens, FourierLens
 from ..optics import second_leg
 from ..rays import Passage, Walk
 from ..runtime import Doubles
@@ -39,7 +40,7 @@ def ray_spread(
     image = np.zeros(rows * columns)
     emitted = 0.0
     for samples in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
-        pupil = samples[:, 0] * lens.reach, samples[:, 1] * lens.reach
+        pupil = samples[:, 0] * lens.pupil.radius, samples[:, 1] * lens.pupil.radius
         x, y, z = (np.full(len(samples), value) for value in point)
         radii = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
         power = np.where(light.is_open(pupil), light.amplitude(pupil, (x, y, z)) ** 2, 0.0).ravel()
@@ -53,11 +54,14 @@ def ray_spread(
         depth = lens.pupil.distance
         if walk is not None:
             lenslet = walk.lenslet(*walk.lattice.cell(*on_array))
-            x, y = lenslet.centre
-            power *= lenslet.gain * walk.lattice.in_aperture(on_array[0] - x, on_array[1] - y)
+            aside = (at - c for at, c in zip(on_array, lenslet.centre, strict=True))
+            power *= lenslet.gain * walk.lattice.in_aperture(*aside)
             before = (on_array[0], on_array[1])
             depth = camera.detector_distance
-            landed, _ = walk.onto_detector(pupil, Passage(before, lenslet))
+            window = lens.in_window(pupil, (x, y, z)) if isinstance(lens, ClosedLens) else pupil
+            landed, _ = walk.onto_detector(window, Passage(before, lenslet))
+            if isinstance(lens, FourierLens):
+                power *= lens.field_inset(*window) >= 0
         if has_response(camera):
             power *= counts(np.hypot(landed[0] - before[0], landed[1] - before[1]), depth)
         column, row = (

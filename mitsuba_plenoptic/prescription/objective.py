@@ -55,6 +55,11 @@ class Objective(LensData):
     fourier_focal_length : float, optional
         Focal length :math:`f_F` in millimetres of that further lens, which stands this far behind the native image
         plane and before the array; for "fourier" alone.
+    field_stop : float, optional
+        Radius, or half the width, of a field stop in the native image plane, in millimetres there: it bounds the
+        micro-images of wide objects; for "fourier" alone. Default: there is none, and micro-images may overlap.
+    field_stop_shape : {"disc", "square"}
+        Shape of the field stop; the sides of a square are along those of the detector.
     """
 
     mark = "magnification"
@@ -69,6 +74,8 @@ class Objective(LensData):
     tube_focal_length: float = 200.0
     arrangement: str = "image"
     fourier_focal_length: float | None = None
+    field_stop: float | None = None
+    field_stop_shape: str = "disc"
 
     def __post_init__(self) -> None:
         with naming("main_lens"):
@@ -80,6 +87,8 @@ class Objective(LensData):
                 tube_focal_length=require_length,
                 arrangement=partial(require_choice, choices=("image", "fourier")),
                 fourier_focal_length=require_length,
+                field_stop=require_length,
+                field_stop_shape=partial(require_choice, choices=("disc", "square")),
             )
         refuse_if(
             self.numerical_aperture >= self.immersion,
@@ -91,12 +100,13 @@ class Objective(LensData):
             f"main_lens: numerical_aperture = {self.numerical_aperture:g} with magnification = "
             f"{self.magnification:g}: their quotient must be at most {_WIDEST:g}, as the image side is paraxial",
         )
-        name = "main_lens: fourier_focal_length"
-        length = self.fourier_focal_length
-        if self.is_fourier:
-            refuse_if(length is None, f"{name}: it is missing; arrangement = fourier needs the lens before the array")
-        elif length is not None:
-            raise InputError(f"{name} = {length:g}: it is for arrangement = fourier; leave it out")
+        refuse_if(
+            self.is_fourier and self.fourier_focal_length is None,
+            "main_lens: fourier_focal_length: it is missing; arrangement = fourier needs the lens before the array",
+        )
+        for name in () if self.is_fourier else ("fourier_focal_length", "field_stop"):
+            if (length := getattr(self, name)) is not None:
+                raise InputError(f"main_lens: {name} = {length:g}: it is for arrangement = fourier; leave it out")
 
     @property
     def name(self) -> str:

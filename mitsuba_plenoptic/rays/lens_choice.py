@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
+from ..design import crosstalk_neighbours, crosstalk_reach, lenses_in_stop, objective_of, pupil_growth
 from ..errors import refuse_if
 from ..lenses import chief_points, main_lens
 from ..runtime import Array, Pair, drjit_array
@@ -42,7 +42,8 @@ _MOST_LENSES = 2**12
 class LensChoice:
     """The lenses around a chief ray's lens that can light a point or a pixel."""
 
-    # Steps in the lattice's indices, of which the first is the chief ray's own lens, and their two columns for kernels.
+    # Steps in the lattice's indices, of which the first is the chief ray's own lens, or the indices of `fixed` lenses,
+    # and their two columns for kernels.
     lenses: tuple[tuple[int, int], ...]
     steps: Sequence[Any] = ()
     # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
@@ -51,6 +52,10 @@ class LensChoice:
     step: Any = 1.0
     # Change of the limits per relative change of a lens's focal length.
     defocus: Any = 0.0
+    # Whether all points are lit by the same lenses: those of the Fourier arrangement that the stop's image lights.
+    fixed: bool = False
+    # Whether the limits are along either axis, for a square field stop.
+    square: bool = False
 
     @classmethod
     def of_points(cls, cameras: Sequence[PlenopticCamera], beyond: float = 0.0) -> LensChoice:
@@ -77,12 +82,22 @@ class LensChoice:
             # A step has the limits of both of its ends.
             limits = np.maximum(limits[:-1], limits[1:])
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
+        fixed = square = False
+        if camera.lens_data.images_stop:
+            lit, _ = lenses_in_stop(camera)
+            refuse_if(not len(lit), "camera: no lens lies in the image of the stop; take narrower lenses")
+            if fixed := len(lit) < len(lenses):
+                lenses = lit
+            if square := objective_of(camera).field_stop_shape == "square":
+                # Half of the square's side, where the reach has half of its diagonal.
+                limits = limits - (1 - math.sqrt(0.5)) * main_lens(camera).reach / pupil_growth(camera)
         # Most rays through lenses that cannot light a point would miss the pupil, and the others would be noisier.
         # 64: Largest number of lenses of which those that can light a point are counted for each ray.
         checks = 1 < len(lenses) <= 64
         numbers = [drjit_array(mi.Float, values) for values in (*lenses.T, limits, step, defocus)]
         dr.make_opaque(numbers)
-        return cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *(numbers[2:] if checks else ()))
+        choice = cls(tuple(map(tuple, lenses.tolist())), numbers[:2], *(numbers[2:] if checks else ()))
+        return replace(choice, fixed=fixed, square=square)
 
     @classmethod
     def of_pixels(cls, camera: PlenopticCamera, radius: float, enlargement: float) -> LensChoice:
@@ -95,8 +110,8 @@ class LensChoice:
 
     def at(self, chief: Pair, lens_number: Any) -> Pair:
         """Return the indices of lenses by their numbers, from those of the chief rays' lenses."""
-        i, j = (index + dr.gather(mi.Float, step, lens_number) for index, step in zip(chief, self.steps, strict=True))
-        return i, j
+        i, j = (dr.gather(mi.Float, step, lens_number) for step in self.steps)
+        return (i, j) if self.fixed else (chief[0] + i, chief[1] + j)
 
     def is_near(self, walk: Walk, chief: Pair, i: Any, j: Any) -> Any:
         """Return whether lenses are close enough to the chief rays' points to be tried."""
@@ -110,7 +125,7 @@ class LensChoice:
         limit = dr.gather(mi.Float, self.limits, mi.UInt32(row * _SECTORS + sector))
         if walk.camera.mla_jitter[1]:
             limit += abs(1 - 1 / walk.camera.focal_factor(i, j)) * self.defocus
-        return dr.hypot(x, y) <= limit
+        return (dr.maximum(abs(x), abs(y)) if self.square else dr.hypot(x, y)) <= limit
 
     def draw(self, walk: Walk, pixel: Pair, sample: Any) -> tuple[Pair, Any, Any, Any]:
         """Return a random lens for each point, the unused rest of the sample, its number, and how many were tried."""
@@ -122,10 +137,11 @@ class LensChoice:
         tried = mi.Float(count)
         near = []
         if self.limits is not None:
-            # Their own lens is always tried, so that the number is never 0.
-            near = [mi.Bool(True)]
-            near += [self.is_near(walk, chief, *self.at(cell, mi.UInt32(number))) for number in range(1, count)]
-            tried = sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0))
+            near = [self.is_near(walk, chief, *self.at(cell, mi.UInt32(number))) for number in range(count)]
+            if not self.fixed:
+                # Rounding must not leave a point without its own lens.
+                near[0] = mi.Bool(True)
+            tried = dr.maximum(sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0)), 1)
         scaled = within * tried
         chosen = dr.minimum(dr.floor(scaled), tried - 1)
         number = mi.UInt32(chosen)
@@ -160,7 +176,7 @@ def cosine_limits(camera: PlenopticCamera, radii: Array) -> Array:
     away = around[:, None, None, : _ANGLES // 2]
     limits = np.zeros((len(radii), _SECTORS))
     for (row, radius), f2 in itertools.product(enumerate(radii), camera.reduced_focal_lengths):
-        slope = lens.pupil.slope(pupil, radius * away + offset)
+        slope = lens.window.slope(pupil, radius * away + offset)
         cosine = slope / np.sqrt(1 + (slope**2).sum(0))
         behind = (cosine - np.stack(camera.microlens.deflection(camera.lattice, offset[0], offset[1], f2))) / n
         square = (behind**2).sum(0)

@@ -264,7 +264,7 @@ class LensRays:
         m = passage.point
         height = passage.lens.height
         slope, even, emerges = walk.out_of_array(pixel, passage)
-        x, y = (walk.lens.pupil.point(position, t, height) for position, t in zip(m, slope, strict=True))
+        x, y = (walk.lens.window.point(position, t, height) for position, t in zip(m, slope, strict=True))
         weight = weight * even * walk.transmittance((x, y), m)
         origin, slope, valid = walk.into_scene(m, slope, height)
         return Ray(pixel, m, (x, y), weight, valid & emerges, origin, slope), passage

@@ -190,7 +190,7 @@ class Walk:
         """
         m, lens = passage
         slope, weight, emerges = self.out_of_array(pixel, passage)
-        pupil = tuple(self.lens.pupil.point(at, t, lens.height) for at, t in zip(m, slope, strict=True))
+        pupil = tuple(self.lens.window.point(at, t, lens.height) for at, t in zip(m, slope, strict=True))
         inside = math.inf
         power = 1.0
         if self.lens.is_uniform or not self.camera.has_even_pupil:
@@ -213,9 +213,9 @@ class Walk:
     # -- towards the detector ------------------------------------------------------------------------
 
     def onto_detector(self, pupil: Pair, passage: Passage) -> tuple[Pair, Any]:
-        """Return landing points and weights (see `out_of_array`) of rays through pupil points and an untilted array."""
+        """Return landing points and weights, as in `out_of_array`, of rays through the window and an upright array."""
         mx, my = passage.point
-        before = self.lens.pupil.slope(pupil[0], mx), self.lens.pupil.slope(pupil[1], my)
+        before = self.lens.window.slope(pupil[0], mx), self.lens.window.slope(pupil[1], my)
         chief = self._chief(passage.lens.centre, 0.0)
         behind = rays.into_medium(before, self.deflection(passage), chief, self.medium)
         z = self.detector_distance

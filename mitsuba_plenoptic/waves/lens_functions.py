@@ -19,11 +19,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, exponents, monomials, on_all_cores
+from ..runtime import Doubles, Pair, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
 
@@ -128,6 +131,66 @@ class LensFunctions:
         The light is 0 on one side of the edge and 1 on the other; parameters are as for `best`.
         """
         return edge_covariance(self.values(u, v, self.duals).T, u, v, self.scale)
+
+
+class LegendreProducts:
+    """Products of Legendre polynomials of both coordinates over a part of a lens, less their means.
+
+    They are many functions that cost rays little. Where the part is symmetric about the lens's centre, so are kernels,
+    and functions of odd degrees have none.
+    """
+
+    scale = 1.0
+
+    def __init__(self, u: Doubles, v: Doubles, degree: int, symmetric: bool) -> None:
+        """Take points that fill the part evenly."""
+        self.pairs = [(i, j) for i, j in exponents(degree) if not (symmetric and (i + j) % 2)]
+        # Middle and half width, along u and v, of the box around the part.
+        ends = [(values.min(), values.max()) for values in (u, v)]
+        self._box = [(0.0 if symmetric else (low + high) / 2, (high - low) / 2) for low, high in ends]
+        self._means = np.zeros(len(self.pairs))
+        self._means = np.append(0.0, self.values(u, v)[:, 1:].mean(0))
+        values = self.values(u, v)
+        # Coefficients (monomials, functions) of the duals, whose integrals with the kernel of the light are kernels.
+        self.exponents = self.pairs
+        terms = np.stack(monomials(u, v, self.exponents), -1)
+        self.combined = np.linalg.lstsq(terms, values @ np.linalg.inv(values.T @ values / len(u)), rcond=None)[0]
+
+    @property
+    def count(self) -> int:
+        """Number of functions."""
+        return len(self.pairs)
+
+    def values(self, u: Doubles, v: Doubles) -> Doubles:
+        """Return the values (points, functions) at points."""
+        along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v)]
+        return np.stack([along[0][i] * along[1][j] + 0 * u for i, j in self.pairs], -1) - self._means
+
+    def at_rays(self, u: Any, v: Any) -> list[Any]:
+        """Return the values at Dr.Jit points."""
+        along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v, dr.opaque)]
+        others = zip(self.pairs[1:], self._means[1:].tolist(), strict=True)
+        return [mi.Float(1), *(along[0][i] * along[1][j] - dr.opaque(mi.Float, mean) for (i, j), mean in others)]
+
+    def light(self, u: Doubles, v: Doubles) -> Doubles:
+        """Return the covariance of the functions' integrals over light with random edges."""
+        return edge_covariance(self.values(u, v), u, v, self.scale)
+
+    def _boxed(self, u: Any, v: Any, opaque: Any = None) -> Pair:
+        """Return coordinates in the box around the part, from -1 to 1."""
+        boxed = []
+        for x, numbers in zip((u, v), self._box, strict=True):
+            middle, half = (dr.opaque(mi.Float, number) for number in numbers) if opaque else numbers
+            boxed.append((x - middle) / half)
+        return boxed[0], boxed[1]
+
+
+def legendre(x: Any, degree: int) -> list[Any]:
+    """Return Legendre's polynomials up to a degree, by their recurrence."""
+    series: list[Any] = [1.0, x]
+    for n in range(1, degree):
+        series.append(((2 * n + 1) / (n + 1)) * x * series[n] - (n / (n + 1)) * series[n - 1])
+    return series
 
 
 def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:

@@ -57,7 +57,7 @@ from .array_kernels import (
     oblique_kernels,
     sampled_kernels,
 )
-from .lens_functions import LensFunctions
+from .lens_functions import LegendreProducts, LensFunctions
 from .oblique import Oblique
 
 FINE = 0.005
@@ -404,7 +404,7 @@ def _rules(waves: LensWaves, lands_by_point: bool) -> list[tuple[str, bool, str]
     ]
 
 
-def coefficients_of(plans: Sequence[PhaseSpace]) -> list[RayCoefficients | Polynomials]:
+def coefficients_of(plans: Sequence[Any]) -> list[RayCoefficients | Polynomials]:
     """Return the objects that compute the coefficients of rays for plans."""
     tabulate([plan for plan in plans if not plan.lands_by_point])
     return [Polynomials(plan) if plan.lands_by_point else RayCoefficients(plan, plan.table) for plan in plans]
@@ -601,6 +601,8 @@ class Polynomials:
     def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
         """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
         functions = self.plan.functions
+        if isinstance(functions, LegendreProducts):
+            return functions.at_rays(u, v)
         terms = monomials(u, v, functions.exponents)
         if shares:
             terms = [share * term for share in shares for term in terms]

@@ -38,7 +38,7 @@ from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, single_threaded_blas
+from ..runtime import Doubles, Pair, exponents, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -66,6 +66,10 @@ class PupilDiffraction:
         fine: bool = False,
         # Shortest wavelength of the plans with which it is used, whose rays start alike. Default: its own wavelength.
         shortest: float | None = None,
+        # What is open of the pupil. Default: the camera's aperture.
+        opening: Any = None,
+        # Most cells across a pixel, beyond which rays are displaced by the point spread function.
+        most_cells: int = USUAL.most_airy_cells,
     ) -> None:
         self.camera = camera
         self.wavelength = wavelength
@@ -87,7 +91,7 @@ class PupilDiffraction:
         # Count of cells across a pixel that resolve the diffraction. In front of coarser pixels rays themselves are
         # displaced by the point spread function, without kernels if cells are wider than these.
         cells = math.ceil(pixel / USUAL.airy_cell)
-        self.is_coarse = cells > USUAL.most_airy_cells
+        self.is_coarse = cells > most_cells
         self._is_wide = pixel > USUAL.coarse_cells * USUAL.coarse_reach
         self._cells = USUAL.coarse_cells if self.is_coarse else cells
         # Coefficients of the aberrations in the kernels; rays of the optical system follow the others.
@@ -99,7 +103,7 @@ class PupilDiffraction:
         by_rays = np.trim_zeros(coefficients - in_kernels, "b")
         self.system = OpticalSystem(camera.replace(wavefront=tuple(by_rays.tolist())), wavelength)
         waves = in_kernels * (WAVEFRONT_UNIT / wavelength)
-        self._opening = camera.aperture, tuple(waves.tolist()) if waves.any() else ()
+        self._opening = opening or camera.aperture, tuple(waves.tolist()) if waves.any() else ()
         is_aberrated = np.linalg.norm(in_kernels) > USUAL.small_aberration
         # The pupil may have closed parts between open ones that matter: in coarse pixels they do not.
         is_coded = camera.aperture_image is not None and not self.is_coarse
@@ -136,7 +140,7 @@ class PupilDiffraction:
     @cached_property
     def covariance(self) -> Doubles:
         """Covariance of the values of an image's rays, for light with random edges over the pupil."""
-        if isinstance(self.functions, LensFunctions):
+        if not isinstance(self.functions, PupilFunctions):
             points = spread_points(self._pupil.power)
             return self.functions.light(*(coordinate[:: USUAL.pupil_every] for coordinate in points))
         assert self.fitted
@@ -202,7 +206,7 @@ class PupilDiffraction:
         # Powers whose integrals with the pupil's light give kernels, and their coefficients (powers, kernels).
         powers = [(0, 0)] if self.fitted else self.functions.exponents
         combined = np.ones((1, 1)) if self.fitted else self.functions.combined
-        products = of_middles(powers, self._fields(places, powers))
+        products = of_middles(powers, self._fields(places, exponents(max(map(sum, powers)))))
         spacing = 2 / USUAL.pupil_samples
         kernels = np.einsum("mn,myx->nyx", combined, products) * (spacing**4 * step**2 / self._pupil.whole)
         if self.fitted:

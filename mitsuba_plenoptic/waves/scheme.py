@@ -14,13 +14,16 @@ from .accuracy import FINER, USUAL
 from .array_field import LensWaves
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
+from .stop_image import LensDiffraction
 
-Plan = PhaseSpace | PupilDiffraction
+Plan = PhaseSpace | PupilDiffraction | LensDiffraction
 """The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
 
 
-def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction:
+def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction | LensDiffraction:
     """Return what has the spots of a camera's lenses, or of its pupil without an array, and their width."""
+    if camera.lens_data.images_stop:
+        return LensDiffraction(camera, wavelength)
     return (LensWaves if camera.has_array else PupilDiffraction)(camera, wavelength)
 
 
@@ -49,6 +52,8 @@ def plan_of(
     `shortest` and `longest` are the extreme wavelengths among the capture's plans, and `beside_far` says that one of
     them is far from focus.
     """
+    if camera.lens_data.images_stop:
+        return LensDiffraction(camera, wavelength, fine, shortest)
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)
     # Light of too many lenses for a pixel is refused before it is planned.

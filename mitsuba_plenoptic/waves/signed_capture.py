@@ -29,6 +29,7 @@ from .scheme import Plan, plan_of
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_rays import SignedRaySum, memory_of
 from .spectral_nodes import Node, WavelengthSampler, node_spectra
+from .stop_sum import StopSum
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -115,9 +116,9 @@ class SignedCapture:
         return result
 
     @property
-    def _kind(self) -> type[SignedRaySum]:
+    def kind(self) -> type[Any]:
         """The kind of the sums of which a capture is the mean."""
-        return SignedRaySum
+        return StopSum if self.camera.lens_data.images_stop else SignedRaySum
 
     def sums(
         self,
@@ -168,7 +169,7 @@ class SignedCapture:
             # 1.5e-6: Approximate work of a ray.
             planned = plans / (plans + 1.5e-6 * math.prod(self.camera.shape) * spp)
         with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.weights)):
-            sums = self.sums(spp, seed, runs, self._kind)
+            sums = self.sums(spp, seed, runs, self.kind)
             first = sums[0]()
         items = int(first.items.sum())
         if runs == 1:
@@ -230,7 +231,7 @@ class SignedGradients:
     def compensated(self) -> tuple[Floats, dict[int, NonNegative]]:
         """The light on the pixels (rows, columns, channels), and the compensation of its noise by channel."""
         with dr.suspend_grad():
-            image = self._image(SignedRaySum)
+            image = self._image(self.capture.kind)
         projections = self.capture.projections(image)
         for channel, projection in projections.items():
             image[..., channel] = projection.image
@@ -241,7 +242,7 @@ class SignedGradients:
         with dr.suspend_grad():
             change = np.zeros((*self.capture.camera.shape, self.capture.spectrum.channels), np.float32)
             if self.light is not None:
-                change += self._image(SignedRaySum, self.light)
+                change += self._image(self.capture.kind, self.light)
             if changes:
                 change += self._image(partial(CameraTangents, changes=changes))
             for channel, projection in self.compensated[1].items():
@@ -259,7 +260,7 @@ class SignedGradients:
                 linear[channel] = projection.backward(linear[channel])
             if self.light is not None:
                 light = ReplayedLight(self.light)
-                for _ in self._sum(SignedRaySum, light).propagate(linear):
+                for _ in self._sum(self.capture.kind, light).propagate(linear):
                     light.propagate()
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 

@@ -55,6 +55,7 @@ from .pupil_sampler import PupilSampler
 from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
+from .stop_image import StopSampler
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
@@ -167,7 +168,8 @@ class SignedRaySum(RaySum):
         self._parts = parts
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        self._sampler = (LensSampler if camera.has_array else PupilSampler)(camera, plans, parts)
+        kind = StopSampler if camera.lens_data.images_stop else LensSampler if camera.has_array else PupilSampler
+        self._sampler: Any = kind(camera, plans, parts)
         # 2: Rays from each pixel through each lens at the least, as two halves of them correct each other.
         least = -(-2 // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
@@ -184,7 +186,8 @@ class SignedRaySum(RaySum):
         self._rows = [_rows_of(kinds) for kinds in self._kernels]
         self._ranks = [kinds[-1][-1].stop for kinds in self._rows]
         flat = [kernel for kinds in self._kernels for sets in kinds for of_set in sets for kernel in of_set.kernels]
-        self._bins = box_of(camera, margin_of(flat))
+        # Micro-images of some lenses are in a part of the detector alone.
+        self._bins: Box = getattr(plans[0], "pixels", None) or box_of(camera, margin_of(flat))
         values = sum(rank * len(node.channels) for rank, node in zip(self._ranks, nodes, strict=True))
         rays_of_pixel = self._together * self._passes * max(1, round(self._sampler.lit_lenses))
         self._blocks = blocks_of(
@@ -610,7 +613,7 @@ class _Grid(NamedTuple):
         return PixelKernels(mean, plan.oblique, self.parts, steps, self.order, *random_light, keeps_light)
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=64)
 def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     """Return the kernels of a plan for one kind of lenses, cached for further captures of the camera."""
     begin_step("kernels of diffraction", 4.0)

@@ -29,7 +29,8 @@ class WhiteCapture(SignedCapture):
     """The capture of a radiance of 1; where light changes fast over a lens, or there is no array, by random rays."""
 
     @property
-    def _kind(self) -> type[SignedRaySum]:
+    def kind(self) -> type[SignedRaySum]:
+        """The sum of cells of lenses where there is one, otherwise that of random rays."""
         is_steep = bool(self.camera.pixel_response) and not self.nodes[0].plan.lands_by_point
         return WhiteSum if self.camera.has_array and not is_steep else SignedRaySum
 
