@@ -14,15 +14,16 @@ from .accuracy import FINER, USUAL
 from .array_field import LensWaves
 from .phase_space import PhaseSpace
 from .pupil_diffraction import PupilDiffraction
-from .stop_image import LensDiffraction
 
-Plan = PhaseSpace | PupilDiffraction | LensDiffraction
+Plan = PhaseSpace | PupilDiffraction
 """The diffraction of a camera at one wavelength, as functions of rays and kernels of images."""
 
 
-def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction | LensDiffraction:
+def diffraction_of(camera: PlenopticCamera, wavelength: float) -> LensWaves | PupilDiffraction:
     """Return what has the spots of a camera's lenses, or of its pupil without an array, and their width."""
     if camera.lens_data.images_stop:
+        from .stop_image import LensDiffraction
+
         return LensDiffraction(camera, wavelength)
     return (LensWaves if camera.has_array else PupilDiffraction)(camera, wavelength)
 
@@ -53,6 +54,8 @@ def plan_of(
     them is far from focus.
     """
     if camera.lens_data.images_stop:
+        from .stop_image import LensDiffraction
+
         return LensDiffraction(camera, wavelength, fine, shortest)
     if not camera.has_array:
         return PupilDiffraction(camera, wavelength, fine, shortest)

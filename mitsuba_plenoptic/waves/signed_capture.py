@@ -29,7 +29,6 @@ from .scheme import Plan, plan_of
 from .signed_camera import CameraAdjoint, CameraTangents
 from .signed_rays import SignedRaySum, memory_of
 from .spectral_nodes import Node, WavelengthSampler, node_spectra
-from .stop_sum import StopSum
 
 Sum = TypeVar("Sum", bound=SignedRaySum)
 
@@ -118,7 +117,11 @@ class SignedCapture:
     @property
     def kind(self) -> type[Any]:
         """The kind of the sums of which a capture is the mean."""
-        return StopSum if self.camera.lens_data.images_stop else SignedRaySum
+        if self.camera.lens_data.images_stop:
+            from .stop_sum import StopSum
+
+            return StopSum
+        return SignedRaySum
 
     def sums(
         self,

@@ -55,7 +55,6 @@ from .pupil_sampler import PupilSampler
 from .ray_sampler import LensSampler, Pixels, RaySamples, lit
 from .scheme import Plan
 from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mixed, span
-from .stop_image import StopSampler
 
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
@@ -168,8 +167,7 @@ class SignedRaySum(RaySum):
         self._parts = parts
         self._step = camera.pixel_size / parts
         plans = [node.plan for node in nodes]
-        kind = StopSampler if camera.lens_data.images_stop else LensSampler if camera.has_array else PupilSampler
-        self._sampler: Any = kind(camera, plans, parts)
+        self._sampler: Any = _sampler_of(camera)(camera, plans, parts)
         # 2: Rays from each pixel through each lens at the least, as two halves of them correct each other.
         least = -(-2 // parts**2)
         rays = max(least, round(spp / (parts**2 * max(1.0, self._sampler.lit_lenses))))
@@ -565,6 +563,15 @@ def memory_of(pixels: float, rays: float, channels: Sequence[int]) -> float:
     spectra = 4 * values * min(TILE**2, 4 * pixels)
     # 40 * 2**20 and 100: Approximate bytes of a wavelength's table, and of a ray.
     return blocks + spectra + len(channels) * 40 * 2**20 + 100 * min(_LANES, rays) + 8 * pixels
+
+
+def _sampler_of(camera: PlenopticCamera) -> type[Any]:
+    """Return the kind of sampler of a camera's rays."""
+    if camera.lens_data.images_stop:
+        from .stop_image import StopSampler
+
+        return StopSampler
+    return LensSampler if camera.has_array else PupilSampler
 
 
 def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:

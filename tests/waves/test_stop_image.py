@@ -54,16 +54,17 @@ def test_beads_are_those_of_full_fields(depth):
     camera = microscope(0.6)
     bead = (0.002, -0.003, depth, 0.006)
     image = captured(camera, square(*bead), 16384)
-    assert difference(image, summed(camera, *bead)) < 0.02
+    # Each lens takes a quarter of the stop, over which rays bend unevenly.
+    assert difference(image, summed(camera, *bead)) < (0.01 if depth == 0 else 0.03)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("depth", [0.0, 0.02, -0.02, 0.06, -0.06])
 def test_beads_behind_whole_and_cut_lenses_are_those_of_full_fields(depth):
-    lens = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50, field_stop=0.62)
+    lens = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50, field_stop=1.2)
     camera = mp.PlenopticCamera(
-        main_lens=lens, mla_pitch=0.5, mla_focal_length=20, mla_lattice="hexagonal", detector_width=2.6,
-        resolution=(260, 260),
+        main_lens=lens, mla_pitch=0.5, mla_focal_length=20, mla_lattice="hexagonal", detector_width=3.6,
+        resolution=(360, 360),
     )  # fmt: skip
     index, lit = mp.design.lenses_in_stop(camera)
     bead = (0.0, 0.0, depth, 0.003)
@@ -72,7 +73,7 @@ def test_beads_behind_whole_and_cut_lenses_are_those_of_full_fields(depth):
     for centre, limit in (((0.0, 0.0), 0.02), (cut, 0.04)):
         sines = np.array(centre) * 20 / 50
         place = np.array(centre) - 20 * 20 / 50 * depth * sines / np.sqrt(1 - sines @ sines)
-        corner = np.rint(place / 0.01 + 130 - 20).astype(int)
+        corner = np.rint(place / 0.01 + 180 - 20).astype(int)
         one = camera.replace(crop_offset=tuple(corner.tolist()), crop_size=(40, 40))
         assert difference(captured(one, square(*bead), 16384), summed(one, *bead)) < limit, (centre, depth)
 
