@@ -314,6 +314,8 @@ class LensRays:
     def missed(self, pixel: Pair, sample: Any) -> float:
         """Return the part of the light of detector points through lenses that are not tried, by one ray from each."""
         walk = self.walk
+        if walk.camera.lens_data.images_stop:
+            return 0.0  # all lenses of the stop's image are tried that the field stop leaves
         around = replace(LensChoice.of_points(self.ends, beyond=max(walk.camera.mla_pitches)), limits=None)
         passage, lens_number, _ = self._pass(pixel, sample, around)
         _, _, valid = self.trace(pixel, passage)

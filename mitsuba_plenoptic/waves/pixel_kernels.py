@@ -159,12 +159,15 @@ def _sharpened(kernels: Doubles, order: int) -> Doubles:
     if order == 0:
         return kernels
     wide = np.pad(kernels, [(0, 0), (USUAL.sharpened, USUAL.sharpened), (USUAL.sharpened, USUAL.sharpened)])
-    size = wide.shape[1:]
+    rows, columns = wide.shape[1:]
+    size = scipy.fft.next_fast_len(rows), scipy.fft.next_fast_len(columns, real=True)
     sharp = [
         np.sinc(frequency(n)) ** -order
         for n, frequency in zip(size, (scipy.fft.fftfreq, scipy.fft.rfftfreq), strict=True)
     ]
-    return scipy.fft.irfft2(scipy.fft.rfft2(wide) * (sharp[0][:, None] * sharp[1]), size)
+    spectra = scipy.fft.rfft2(wide, size) * (sharp[0][:, None] * sharp[1])
+    sharpened: Doubles = scipy.fft.irfft2(spectra, size)[:, :rows, :columns]
+    return sharpened
 
 
 def _by_places(kernels: Doubles, parts: int) -> Doubles:

@@ -198,7 +198,9 @@ class PupilDiffraction:
         x = along(USUAL.pupil_samples)
         transmission = self._pupil.transmission
         waves = np.exp(-2j * np.pi * np.outer(places, x))
-        return {(a, b): waves @ (transmission * x**a * x[:, None] ** b) @ waves.T for a, b in powers}
+        rows = [(waves * x**b) @ transmission for b in range(max(map(sum, powers)) + 1)]
+        columns = [(waves * x**a).T for a in range(len(rows))]
+        return {(a, b): rows[b] @ columns[a] for a, b in powers}
 
     def _sampled(self, step: float, count: int) -> Doubles:
         """Return the kernels (n, k, k) at `count` samples on either side, `step` units apart, times their area."""

@@ -114,7 +114,7 @@ def test_a_lamp_is_seen_by_lenses_four_pitches_away():
         main_lens=lens, mla_pitch=0.5, mla_focal_length=20.0, detector_width=5.0, resolution=(100, 100)
     )
     # The lamp's image is z M X / f = 2 mm beside the centre of each lens.
-    lamp = {"type": "sphere", "center": [0.5, 0.0, 0.0], "radius": 0.005, "emitter": {"type": "area"}}
+    lamp = {"type": "sphere", "center": [0.5, 0.0, 0.0], "radius": 0.012, "emitter": {"type": "area"}}
     image = rendered(camera, lamp, spp=1024)
     index, open_part = mp.design.lenses_in_stop(camera)
     x, y = np.stack(camera.lattice.centre(*index.T))

@@ -30,7 +30,7 @@ from camera_draws import Draw  # noqa: E402
 from coverage_of_draws import Tally  # noqa: E402
 from relation import RELATIONS, TooLongError, draw_of, judged, shrunk  # noqa: E402
 
-for kind in ("captures", "extensions", "files", "images", "maps", "models", "points", "sensors"):
+for kind in ("captures", "extensions", "files", "images", "maps", "microscopes", "models", "points", "sensors"):
     importlib.import_module(f"of_{kind}")
 
 GRACE = 10.0

@@ -1,0 +1,101 @@
+"""Relations of microscopes in the Fourier arrangement: random ones, whose numbers are not those of other cameras."""
+
+from dataclasses import replace
+
+import mitsuba as mi
+import numpy as np
+from camera_draws import OPTIONS
+from of_captures import sky
+from relation import off, relation
+
+import mitsuba_plenoptic as mp
+from mitsuba_plenoptic.camera.entry import Use
+
+ALL = " ".join(OPTIONS)
+
+
+def microscope(rng):
+    """Return a microscope of some lenses across the stop, with a field stop whose image fits a pitch."""
+    immersion = float(rng.choice([1.0, 1.33, 1.515]))
+    magnification, aperture = float(rng.choice([20, 40, 60])), float(rng.uniform(0.3, 0.85)) * immersion
+    pitch, z, focal_length = float(rng.uniform(0.4, 1.2)), float(rng.uniform(10, 25)), float(rng.uniform(60, 150))
+    across = 2 * focal_length * aperture / magnification / pitch
+    focal_length *= float(rng.uniform(2.2, 3.2)) / across
+    shape = str(rng.choice(["disc", "square"]))
+    lens = mp.Objective(
+        magnification, aperture, immersion, arrangement="fourier", fourier_focal_length=focal_length,
+        field_stop=0.4 * pitch * focal_length / z, field_stop_shape=shape,
+    )  # fmt: skip
+    pixel = 0.2 * 550e-6 * z / pitch * 2
+    size = int(np.clip(3.6 * pitch / pixel, 60, 120)) // 2 * 2
+    return mp.PlenopticCamera(
+        main_lens=lens,
+        mla_pitch=pitch,
+        mla_focal_length=z * float(rng.choice([1.0, 1.0, 0.97])),
+        detector_distance=z,
+        mla_lattice=str(rng.choice(["square", "hexagonal"])),
+        mla_rotation=float(rng.choice([0.0, 11.0])),
+        mla_aperture=str(rng.choice(["cell", "circle"])),
+        mla_offset=tuple((pitch * rng.uniform(-0.5, 0.5, 2)).tolist()),
+        detector_width=size * pixel,
+        resolution=(size, size),
+    )
+
+
+def plane(camera, rng, s=1.0):
+    """Return the scene of a textured plane that fills the field, s times as large, tilted and out of focus."""
+    texture = mi.Bitmap(rng.random((6, 6, 1), np.float32))
+    radiance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest", "raw": True}
+    half, depth = 2 * camera.main_lens.field_stop / camera.main_lens.magnification, s * float(rng.uniform(-5e-3, 5e-3))
+    place = mi.ScalarTransform4f().translate([0, 0, depth]).rotate([0, 1, 0], 170).scale(half)
+    shape = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": radiance}}
+    return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": camera.to_sensor(), "plane": shape})
+
+
+@relation(Use(0), ALL, "Fourier microscopes")
+def units_of_fourier_microscopes(draw):
+    """Lengths twice as long: the same capture by the same rays, or by waves of twice the wavelength."""
+    camera = microscope(draw.rng)
+    lens, seed = camera.main_lens, int(draw.rng.integers(1000))
+    longer = replace(
+        lens,
+        tube_focal_length=2 * lens.tube_focal_length,
+        fourier_focal_length=2 * lens.fourier_focal_length,
+        field_stop=2 * lens.field_stop,
+    )
+    lengths = "mla_pitch", "mla_focal_length", "detector_distance", "detector_width"
+    doubled = {name: 2 * getattr(camera, name) for name in lengths}
+    offset = tuple(2 * value for value in camera.mla_offset)
+    other = mp.PlenopticCamera(
+        main_lens=longer, mla_offset=offset, mla_lattice=camera.mla_lattice, mla_rotation=camera.mla_rotation,
+        mla_aperture=camera.mla_aperture, resolution=camera.resolution, **doubled,
+    )  # fmt: skip
+    model = str(draw.rng.choice(["ray", "wave"]))
+    one, two = (
+        mp.render_capture(
+            plane(each, np.random.default_rng(seed), s), model=model, spp=4,
+            **({"wavelength": 550 * s} if model == "wave" else {}),
+        ).image
+        for each, s in ((camera, 1.0), (other, 2.0))
+    )  # fmt: skip
+    return off(two, one), 0.01
+
+
+@relation(Use(0), ALL, "Fourier microscopes")
+def light_of_fourier_microscopes(draw):
+    """Of a white world the whole lenses read 1, and waves keep the light of rays but for what leaves the detector."""
+    camera = microscope(draw.rng)
+    ray, wave = (
+        mp.render_capture(
+            sky(camera), model=model, spp=64, **({"wavelength": 550.0} if model == "wave" else {})
+        ).image.astype(float)
+        for model in ("ray", "wave")
+    )
+    index, lit = mp.design.lenses_in_stop(camera)
+    place = np.stack(camera.lattice.centre(*index.T), -1) / camera.pixel_size + np.array(camera.resolution) / 2
+    inside = (place > 3).all(1) & (place < np.array(camera.resolution) - 3).all(1)
+    means = []
+    for (x, y), part in zip(place[inside], lit[inside], strict=True):
+        around = ray[int(y) - 2 : int(y) + 3, int(x) - 2 : int(x) + 3]
+        means.append(abs(around.mean() - part))
+    return max([*means, abs(float(wave.sum() / ray.sum()) - 1) - 0.03]), 0.08
