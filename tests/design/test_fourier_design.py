@@ -5,10 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refuses
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic import design
 from mitsuba_plenoptic.plugins.other_camera import with_camera
+from mitsuba_plenoptic.report.experiment import Settings, run_experiment
 from mitsuba_plenoptic.report.sheet import design_sheet
 
 LENS = mp.Objective(40, 0.95, arrangement="fourier", fourier_focal_length=75)
@@ -20,7 +22,6 @@ GUO = mp.PlenopticCamera(
     detector_width=3.9,
     resolution=(600, 600),
 )
-PRESETS = ("flfm", 7.03, 37, 0.1), ("flfm_oil", 3.45, 5, 0.108)
 
 
 def stopped(camera, **changes):
@@ -81,7 +82,7 @@ def test_faults_are_warned_of_and_mended():
     assert design.lenses_across_stop(design.mended(few)) == pytest.approx(2)
 
 
-@pytest.mark.parametrize(("name", "across", "whole", "field"), PRESETS)
+@pytest.mark.parametrize(("name", "across", "whole", "field"), [("flfm", 7.03, 37, 0.1), ("flfm_oil", 3.45, 5, 0.108)])
 def test_presets_suit_and_capture_beads(name, across, whole, field, recwarn):
     camera = mp.PlenopticCamera.preset(name)
     assert design.design_warnings(camera, 550) == []
@@ -107,3 +108,8 @@ def test_a_capture_of_a_scene_without_a_field_stop_warns_of_overlap():
     scene = with_camera(mp.load_scene("beads", variant="llvm_ad_mono"), GUO.replace(resolution=(60, 60)), None)
     with pytest.warns(UserWarning, match=r"overlap: no field_stop .* 1.3392\d mm"):
         mp.render_capture(scene, model="ray", spp=1)
+
+
+def test_comparisons_name_what_works_behind_an_objective():
+    settings = Settings("beads", camera=GUO.to_dict(), distances=(0.01,))
+    refuses("main_lens = 40x/0.95 objective: .*deconvolved", run_experiment, settings, None)
