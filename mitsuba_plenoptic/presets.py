@@ -38,6 +38,21 @@
     focal length of 2.433 mm, pixels of 4.55 um (6.5 um behind a relay of 35/50). Ours: square lenses with one on the
     axis, and 2048 x 2048 pixels.
 
+``flfm``
+    A Fourier light-field microscope with the 40x/0.95 dry objective, the Fourier lens of 100 mm, the microlens focal
+    length of 16.8 mm and the pixels of 6.5 um of Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy",
+    section 2.1. Ours: hexagonal lenses 676 um apart, so that seven are across the stop's image of 4.75 mm and see 101
+    um, in place of their square ones 600 um apart, which see 89 um; the radius of the field stop, with which
+    micro-images touch; one lens on the axis; 896 x 896 pixels.
+
+``flfm_oil``
+    The microscope that the program LFMNR comes with (``FLFM_simulation/main_FLFM_Simu.m`` of its repository
+    feilab-hust/LFMNR): a 100x/1.4 oil immersion objective in the index 1.518, a tube lens of 180 mm, a Fourier lens of
+    400 mm, lenses 3.25 mm apart with the focal length of 120 mm. With a Fourier lens of 300 mm it is that of Yi et al.
+    2023, "Video-rate 3D imaging of living cells using Fourier view-channel-depth light field microscopy" (repository
+    feilab-hust/F-VCD). Ours: the field stop, with which micro-images touch; 2048 x 2048 pixels of 6.5 um (theirs are
+    3.25 mm over 499), which see the three by three lenses in the stop's image.
+
 ``telescope``
     A plenoptic wavefront sensor: an array in the focus of a telescope, whose lenses have the telescope's f-number, so
     that their images of its pupil touch: the rule of Clare and Lane 2005, "Wave-front sensing from subdivision of the
@@ -133,6 +148,36 @@ PRESETS: dict[str, dict[str, Any]] = {
         "mla_pitch": 0.125,
         "mla_offset": (0.0625, 0.0625),
         "detector_width": 9.3184,
+        "resolution": (2048, 2048),
+    },
+    "flfm": {
+        "main_lens": {
+            "magnification": 40.0,
+            "numerical_aperture": 0.95,
+            "arrangement": "fourier",
+            "fourier_focal_length": 100.0,
+            "field_stop": 2.0119,
+        },
+        "mla_focal_length": 16.8,
+        "mla_pitch": 0.676,
+        "mla_lattice": "hexagonal",
+        "detector_width": 5.824,
+        "resolution": (896, 896),
+    },
+    "flfm_oil": {
+        "main_lens": {
+            "magnification": 100.0,
+            "numerical_aperture": 1.4,
+            "immersion": 1.518,
+            "tube_focal_length": 180.0,
+            "arrangement": "fourier",
+            "fourier_focal_length": 400.0,
+            "field_stop": 5.4166,
+        },
+        "mla_focal_length": 120.0,
+        "mla_pitch": 3.25,
+        "mla_offset": (1.625, 1.625),
+        "detector_width": 13.312,
         "resolution": (2048, 2048),
     },
     "telescope": _WAVEFRONT_SENSOR | {"mla_distance": 500.0, "detector_width": 2.56, "resolution": (256, 256)},

@@ -235,9 +235,9 @@ class PlenopticCamera(CameraGeometry, Displayed):
 
         Parameters
         ----------
-        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", \
-            "telescope", "shack_hartmann", "full_frame_50mm", "phone", "full_frame_dual", \
-            "phone_quad", "phone_quad_bayer"}
+        name : {"paper", "lytro", "raytrix", "paper_double_gauss", "raytrix_double_gauss", "lfm", "lfm_water", "flfm", \
+            "flfm_oil", "telescope", "shack_hartmann", "full_frame_50mm", "phone", "full_frame_dual", "phone_quad", \
+            "phone_quad_bayer"}
             The camera.
         """
         refuse_if(absent := missing("presets", str(name)), absent)

@@ -2,12 +2,17 @@ from .aberration import parabolic_aberration as parabolic_aberration
 from .deconvolved_contrast import ResolutionLimit as ResolutionLimit
 from .deconvolved_contrast import resolution_limit as resolution_limit
 from .microscope import depth_of_field as depth_of_field
+from .microscope import depth_step as depth_step
 from .microscope import lens_aperture as lens_aperture
 from .microscope import lenses_across_stop as lenses_across_stop
 from .microscope import lenses_in_stop as lenses_in_stop
 from .microscope import native_field as native_field
 from .microscope import objective_of as objective_of
+from .microscope import overlap_warnings as overlap_warnings
 from .microscope import parallax as parallax
+from .microscope import touching_field_stop as touching_field_stop
+from .microscope import view_depth as view_depth
+from .microscope import view_resolution as view_resolution
 from .quantities import EffectiveResolution as EffectiveResolution
 from .quantities import best_distances as best_distances
 from .quantities import crosstalk_neighbours as crosstalk_neighbours

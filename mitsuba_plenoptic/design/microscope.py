@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,8 +35,8 @@ def objective_of(camera: PlenopticCamera) -> Objective:
 def native_field(camera: PlenopticCamera) -> float:
     r"""Return the width, in millimetres, of the part of the object that the camera sees.
 
-    The width is that of the detector, :math:`W / M`; in the Fourier arrangement, of the picture for which one lens has
-    room, :math:`D_2 f_F / z M`.
+    The width is that of the detector, :math:`W / M`; in the Fourier arrangement, that of the field stop,
+    :math:`2 r / M`, or, without one, of the picture for which one lens has room, :math:`D_2 f_F / z M`.
 
     Parameters
     ----------
@@ -43,9 +44,11 @@ def native_field(camera: PlenopticCamera) -> float:
         A microscope.
     """
     lens = objective_of(camera)
-    if lens.images_stop:
-        return camera.row_pitch / lens.view_scale(camera.reduced_distance)
-    return camera.detector_width / lens.magnification
+    if not lens.images_stop:
+        return camera.detector_width / lens.magnification
+    if lens.field_stop is not None:
+        return 2 * lens.field_stop / lens.magnification
+    return camera.row_pitch / lens.view_scale(camera.reduced_distance)
 
 
 def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
@@ -165,6 +168,103 @@ def parallax(camera: PlenopticCamera, position: float) -> float:
     return -camera.reduced_distance * growth * math.tan(math.asin(sine))
 
 
+def view_resolution(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Return the smallest distance in mm in the object that one lens of the Fourier arrangement resolves.
+
+    :math:`\lambda f_F / M w`, Abbe's limit of the lens's part of the stop (Guo et al. 2019, appendix B).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    return in_millimetres(wavelength) / (2 * lens_aperture(camera))
+
+
+def view_depth(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Return the depth of field in mm, from end to end, of one lens of the Fourier arrangement.
+
+    :math:`n \lambda / NA_l^2 + n e / NA_l` for a pixel that is e wide in the object (Scrofani et al. 2018; Guo et al.
+    2019, appendix E, who take twice as much to be within reach of deconvolution).
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    lens = _fourier(camera)
+    aperture = lens_aperture(camera)
+    return lens.immersion * (in_millimetres(wavelength) / aperture + lens.bin_size(camera, 0)) / aperture
+
+
+def depth_step(camera: PlenopticCamera, wavelength: float) -> float:
+    r"""Return the change of depth in mm that moves a point by a resolved distance under the outermost whole lens.
+
+    `view_resolution` over :math:`\tan\theta` of that lens (Guo et al. 2019, appendix C, in which
+    :math:`\tan\theta = M c / f_F`); infinite if at most the lens on the axis is whole.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    wavelength : float
+        Wavelength in nanometres.
+    """
+    index, lit = lenses_in_stop(camera)
+    outermost = max(np.hypot(*camera.lattice.centre(*index[lit == 1].T)), default=0.0)
+    moved = abs(parallax(camera, float(outermost))) / _fourier(camera).view_scale(camera.reduced_distance)
+    return view_resolution(camera, wavelength) / moved if moved > SINGLE else math.inf
+
+
+def touching_field_stop(camera: PlenopticCamera) -> float:
+    r"""Return the radius, or half the width of a square field stop, in mm with which micro-images touch.
+
+    :math:`f_F D / 2 z` for the distance D of neighbouring lenses, that of a square along the detector's sides.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    """
+    lens = _fourier(camera)
+    lattice = camera.lattice.regular
+    near = np.array([(i, j) for i in (-2, -1, 0, 1, 2) for j in (-2, -1, 0, 1, 2) if i or j])
+    aside = np.stack(lattice.centre(*near.T)) - np.array(lattice.centre(0, 0))[:, None]
+    apart = np.abs(aside).max(0) if lens.field_stop_shape == "square" else np.hypot(*aside)
+    return float(apart.min() * lens.last_focal_length / (2 * camera.reduced_distance))
+
+
+def overlap_warnings(camera: PlenopticCamera) -> list[str]:
+    """Return whether micro-images of wide objects overlap in the Fourier arrangement, as a warning for their captures.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        Any camera; others have no such warning.
+    """
+    if camera.objective is None or not camera.objective.images_stop:
+        return []
+    return [finding.sentence(camera) for finding in _overlap(camera, camera.objective)]
+
+
+def _overlap(camera: PlenopticCamera, lens: Objective) -> Iterator[Finding]:
+    """Yield whether micro-images of wide objects overlap, with the field stop that ends it."""
+    stop = touching_field_stop(camera)
+    if lens.field_stop is not None and lens.field_stop <= stop * (1 + SINGLE):
+        return
+    # Of six digits, rounded down.
+    stop = float(f"{stop * (1 - 5e-6):.6g}")
+    cause = "no field_stop" if lens.field_stop is None else f"a field_stop of {lens.field_stop:.6g} mm"
+    yield Finding(
+        f"micro-images of wide objects overlap: {cause} bounds them",
+        ((f"take a field_stop of {stop:g} mm", {"main_lens": replace(lens, field_stop=stop)}),),
+    )
+
+
 def microscope_findings(camera: PlenopticCamera, wavelength: float | None) -> Iterator[Finding]:
     """Yield findings about the design of a microscope."""
     lens = objective_of(camera)
@@ -176,6 +276,15 @@ def microscope_findings(camera: PlenopticCamera, wavelength: float | None) -> It
                 f"no parallax: only {across:.2g} lenses lie across the image of the stop",
                 (("take narrower lenses", {"mla_pitch": narrower}),),
             )
+        sides = (size * camera.pixel_size / 2 for size in camera.resolution)
+        seen = min(sides) * lens.last_focal_length / camera.reduced_distance
+        if lens.field_stop is not None and lens.field_stop > seen * (1 + SINGLE):
+            yield Finding(
+                f"field_stop = {lens.field_stop:.6g}: it is wider than the {seen:.6g} mm to either side in the native "
+                "image plane that the detector sees",
+                (("narrow it", {"main_lens": replace(lens, field_stop=seen)}),),
+            )
+        yield from _overlap(camera, lens)
     else:
         fill = camera.micro_image_diameter / camera.row_pitch
         matching = f"a microlens of {lens.magnification / (2 * lens.numerical_aperture):.3g} times its pitch suits"

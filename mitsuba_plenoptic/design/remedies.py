@@ -34,8 +34,9 @@ class Finding:
             changed = changed_camera(camera, changes)
             # F-number below which no lens in air images without aberrations.
             if changes is not None and changed is not None and changed.f_number >= min(0.5, camera.f_number):
-                values = ", ".join(f"{name} = {_written(value)}" for name, value in changes.items())
-                yield f"{words} ({values})", changed
+                # Of a main lens, the words say what is changed.
+                values = ", ".join(f"{n} = {_written(v)}" for n, v in changes.items() if n != "main_lens")
+                yield f"{words} ({values})" if values else words, changed
 
     def sentence(self, camera: PlenopticCamera) -> str:
         """Return the sentence of a warning: the fault and its remedies."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ..errors import (
     InputError,
     naming,
@@ -177,12 +179,34 @@ class Objective(LensData):
         return require_unscaled(stated, dict(zip(self.sets, numbers, strict=True)), SINGLE)
 
     def require_fit(self, camera: Any) -> None:
-        """Refuse further aberrations, no array, and a tilted one in the image of the stop."""
+        """Refuse further aberrations, no array, and, in the image of the stop, arrays and stops that do not suit it."""
         camera.require_array(f"main_lens = {self.label}")
         require_alone(camera)
+        if not self.is_fourier:
+            return
         refuse_if(
-            self.is_fourier and any(camera.mla_tilt),
+            any(camera.mla_tilt),
             f"mla_tilt = {camera.mla_tilt}: an array in the image of the stop must stand upright; leave it out",
+        )
+        pitch = min(camera.mla_pitches)
+        refuse_if(
+            pitch < 3 * camera.pixel_size * (1 - SINGLE),
+            f"mla_pitch = {pitch:g}: in the Fourier arrangement it must be at least three pixels of "
+            f"{camera.pixel_size:.4g} mm",
+        )
+        narrowest = camera.pixel_size * self.last_focal_length / (2 * camera.reduced_distance)
+        if self.field_stop is not None:
+            refuse_if(
+                self.field_stop < narrowest * (1 - SINGLE),
+                f"main_lens: field_stop = {self.field_stop:g}: it must be at least {narrowest:.4g}, half a pixel there",
+            )
+        radius = self.blur_diameter(0) / 2
+        far = radius + camera.lattice.aperture_reach
+        index = camera.lattice.lenses_within((-far, -far), (far, far))
+        nearest = np.hypot(*camera.lattice.centre(*index.T)).min(initial=math.inf)
+        refuse_if(
+            nearest >= far,
+            f"mla_pitch = {pitch:g}: none lies in the image of the stop of {2 * radius:.4g} mm; take narrower lenses",
         )
 
     def require_distance(self, camera: Any, distance: float) -> None:

@@ -340,6 +340,11 @@ def run_experiment(
             refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
             # First without the array, which says of some main lenses that they need one.
             twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
+    refuse_if(
+        camera.objective is not None,
+        f"main_lens = {camera.lens_data.label}: scenes are compared behind other main lenses; use render with --model "
+        "ray and wave, and reconstruct with --method deconvolved",
+    )
 
     # Rays first, then waves, whose first results are shown before all that takes longer.
     methods = sorted(settings.methods, key=lambda method: ("ray_of_ray", "partial", method.name).index(method.name))

@@ -438,7 +438,11 @@ def _image(camera: PlenopticCamera, lens: Objective) -> _Lines:
 
 
 def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
-    outer = 0.5 * (lens.blur_diameter(0) - camera.row_pitch)
+    index, lit = design.lenses_in_stop(camera)
+    outer = float(max(np.hypot(*camera.lattice.centre(*index[lit == 1].T)), default=0.0))
+    scale = camera.reduced_distance / lens.last_focal_length
+    touching = design.touching_field_stop(camera)
+    apart = f"in micro-images that touch at {2 * scale * touching / camera.pixel_size:.4g}"
     rows = [
         (
             "kind of camera",
@@ -447,12 +451,20 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
             f"lens of {lens.last_focal_length:.4g} mm before the array",
         ),
         ("image of the stop", f"{lens.blur_diameter(0):.4g}", "mm"),
-        ("lenses across it", f"{design.lenses_across_stop(camera):.3g}"),
+        (
+            "lenses across it",
+            f"{design.lenses_across_stop(camera):.3g}",
+            "",
+            f"{len(lit)} lit, {(lit == 1).sum()} whole",
+        ),
         ("numerical aperture of a lens", f"{design.lens_aperture(camera):.4g}"),
         ("pixel in the object", f"{1e3 * camera.bin_size(0):.4g}", "um"),
+        ("field stop", "none", "", f"micro-images touch with {touching:.4g} mm")
+        if lens.field_stop is None
+        else ("field stop", f"{2 * scale * lens.field_stop / camera.pixel_size:.4g}", "pixels", apart),
     ]
     if outer > 0:
-        note = f"per um of depth, of a lens {outer:.4g} mm from the axis"
+        note = f"per um of depth, of the outermost whole lens, {outer:.4g} mm from the axis"
         rows.append(("parallax", f"{abs(design.parallax(camera, outer)):.4g}", "um", note))
     return rows
 
@@ -466,8 +478,12 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
     if lens.images_stop:
         aperture = design.lens_aperture(camera)
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
-        rows.append(("limit of a lens", f"{2e6 * aperture / wavelength:.4g}", "lp/mm"))
-        rows.append(("depth of field", f"{depth:.4g}", "um", "of a lens, n times the wavelength over its NA squared"))
+        resolved = f"{1e3 * design.view_resolution(camera, wavelength):.4g} um"
+        rows.append(("limit of a lens", f"{2e6 * aperture / wavelength:.4g}", "lp/mm", resolved))
+        shown = f"{1e3 * design.view_depth(camera, wavelength):.4g}"
+        rows.append(("depth of field", shown, "um", "of a lens, by diffraction and by pixels, from end to end"))
+        step = f"{1e3 * design.depth_step(camera, wavelength):.4g}"
+        rows.append(("depth step", step, "um", "that parallax of the outermost whole lens resolves"))
         shallow = 1e-3 * depth
         sample = "pixel"
     else:

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..choices import MODELS
-from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords
+from ..design import overlap_warnings
+from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords, warn
 from ..io import Capture
 from ..optics import guards
 from ..runtime import Array, BatchMap, Cost, Job, Progress, cost_of, lanes_reported, one_at_a_time, require_memory_for
@@ -119,6 +120,8 @@ def render_capture(
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     warn_of_metres(scene, chosen)
+    for text in overlap_warnings(camera):
+        warn(text)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
     require_seen(integrator, chosen)

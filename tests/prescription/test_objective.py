@@ -48,7 +48,8 @@ def test_the_sheet_of_a_microscope():
     rows = {(row.group, row.quantity): row.value for row in design_sheet(fourier, 550)}
     assert rows["Array", "image of the stop"] == "2.5"
     assert rows["Array", "numerical aperture of a lens"] == "0.1"
-    assert mp.design.design_warnings(fourier, 550) == []
+    assert rows["Array", "field stop"] == "none"
+    assert mp.design.design_warnings(fourier, 550) == mp.design.overlap_warnings(fourier)
     slow = mp.PlenopticCamera.preset("lfm").replace(mla_focal_length=1.0, detector_distance=1.0)
     assert any("micro-images fill 33% of their pitch" in text for text in mp.design.design_warnings(slow))
 

@@ -91,12 +91,28 @@ def microscope(**changes):
     return {"main_lens": AIR.to_plain() | changes}
 
 
+def stopped(**changes):
+    """Describe a camera in the Fourier arrangement, with four lenses around the axis, with some values changed."""
+    lens = {"main_lens": FOURIER.to_plain() | changes}
+    return lens | {"mla_pitch": 0.5, "mla_focal_length": 20, "detector_width": 4, "resolution": (1000, 1000)}
+
+
 OBJECTIVES = [
     (microscope(numerical_aperture=1.0), "numerical_aperture = 1: .* 1"),
     (microscope(magnification=4), "magnification = 4: .*0.1"),
     (microscope(arrangement="fourier"), "fourier_focal_length: it is missing"),
     (microscope(fourier_focal_length=50), "fourier_focal_length = 50: "),
     (microscope(working_distance=2), "main_lens: working_distance: "),
+    (
+        {"main_lens": FOURIER, "mla_pitch": 0.01, "detector_width": 4, "resolution": (1000, 1000)},
+        "mla_pitch = 0.01: .*three",
+    ),
+    (stopped(field_stop=0.0), "field_stop = 0: "),
+    (stopped(field_stop=math.inf), "field_stop = inf: "),
+    (stopped(field_stop=0.009), "field_stop = 0.009: .*0.01"),
+    (stopped(field_stop_shape="round"), "field_stop_shape = 'round': "),
+    (stopped(numerical_aperture=0.02) | {"mla_aperture": "circle", "mla_fill": 0.5}, "mla_pitch = 0.5: .*0.2 mm"),
+    (stopped() | {"mla_tilt": (1, 0)}, r"mla_tilt = \(1.0, 0.0\): .*upright"),
     ({"main_lens": AIR, "focal_length": 12}, "focal_length = 12: .*main_lens .*10"),
     ({"main_lens": AIR, "focus_distance": 10}, "focus_distance = 10: "),
     ({"main_lens": AIR, "wavefront": (0, 0, 0, 0.1)}, "wavefront.*main_lens"),

@@ -74,8 +74,7 @@ def preview_of(scene: Any, camera: PlenopticCamera) -> Preview:
     camera.require_array("preview")
     require_support(camera, Use.ROUND_PUPILS)
     view = view_of(camera)
-    columns, rows = camera.bin_count
-    size = (columns * -(-_COLUMNS // columns), rows * -(-_COLUMNS // columns))
+    size = view.size(_COLUMNS)
     picture = view.take(scene, size, _SPP if camera.objective is None else _OBJECTIVE_SPP)
     rays, to_world = view.sight(scene, size)
     hit = scene.ray_intersect(rays)
@@ -105,7 +104,7 @@ def framing_warnings(preview: Preview) -> list[str]:
     if sharp < 0.5:
         warnings.append(
             f"what is seen is from {view.between(distance.min(), distance.max())}, and only {sharp:.0%} of it from "
-            f"{view.between(*ends)}, which refocusing makes sharp"
+            f"{view.between(*ends)}, which is {view.sharp_label}"
         )
     return warnings
 
@@ -145,7 +144,7 @@ def _draw_from_above(axes: Axes, preview: Preview) -> None:
     start, reach = view.drawn_range(points[:, 2])
     if near < reach:
         visible = max(near, start), min(far, reach)
-        axes.axvspan(*visible, color=_SHARP, alpha=0.25, linewidth=0, label="made sharp by refocusing")
+        axes.axvspan(*visible, color=_SHARP, alpha=0.25, linewidth=0, label=view.sharp_label)
     axes.axvline(focus, color=_FOCUS, label=view.focus_label)
     for side in (-0.5, 0.5):
         border = [side * view.field(end)[0] for end in (start, reach)]

@@ -45,6 +45,7 @@ def preview(
     $ mitsuba-plenoptic preview my_scene.xml --camera lytro
     $ mitsuba-plenoptic preview beads
     """
+    from ... import design
     from ...camera import PlenopticCamera
     from ...optics import guards
     from ...runtime import require_writable
@@ -67,9 +68,12 @@ def preview(
         preview_figure(Path(scene).name, shown_preview).save(target, dpi)
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
-    typer.echo(f"made sharp by refocusing: {view.between(*view.sharp_range())}")
+    typer.echo(f"{view.sharp_label}: {view.between(*view.sharp_range())}")
     pixels = seen_by.micro_image_pitch / seen_by.pixel_size
-    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {seen_by.lens_count[0]} x {seen_by.lens_count[1]} of them")
+    count = f"{seen_by.lens_count[0]} x {seen_by.lens_count[1]}"
+    if seen_by.objective is not None and seen_by.objective.is_fourier:
+        count = str(len(design.lenses_in_stop(seen_by)[1]))
+    typer.echo(f"micro-images: {pixels:.3g} pixels apart, {count} of them")
     for model in ("ray", "wave") if waves else ("ray",):
         try:
             cost = estimate_capture(loaded, model=model, spp=spp)

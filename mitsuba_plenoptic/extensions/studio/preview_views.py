@@ -13,7 +13,7 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...lenses import TelecentricLens
+from ...lenses import FourierLens, TelecentricLens
 from ...prescription import lens_data
 from ...report import photograph, photographic_sensor
 from ...runtime import Array, Pair
@@ -32,6 +32,7 @@ class LensView:
     unit = "mm"
     per_millimetre = 1.0
     depth_label = "mm from the main lens"
+    sharp_label = "made sharp by refocusing"
 
     @property
     def focus(self) -> float:
@@ -93,6 +94,12 @@ class LensView:
         width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
         return f"{width:.4g} x {height:.4g} {self.unit}"
 
+    def size(self, columns: int) -> tuple[int, int]:
+        """Return columns and rows of the picture: whole pixels for each bin, and at least so many columns."""
+        across, down = self.camera.bin_count
+        each = -(-columns // across)
+        return across * each, down * each
+
     def drawn_range(self, distances: Array) -> tuple[float, float]:
         """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
@@ -115,6 +122,11 @@ class MicroscopeView(LensView):
     depth_label = "um beyond the native object plane"
 
     @property
+    def sharp_label(self) -> str:  # type: ignore[override]
+        """Name of the range of depths that are sharp."""
+        return "sharp under each microlens" if self._objective.images_stop else LensView.sharp_label
+
+    @property
     def focus(self) -> float:
         """Distance of the native object plane, which is in focus: 0."""
         return 0.0
@@ -123,6 +135,16 @@ class MicroscopeView(LensView):
     def focus_label(self) -> str:
         """Name of the plane in focus."""
         return "in focus in the native object plane"
+
+    def field(self, distance: float) -> tuple[float, float]:
+        """Return width and height of the field, in the Fourier arrangement of the field stop or of one lens."""
+        if not self._objective.images_stop:
+            return super().field(distance)
+        return (design.native_field(self.camera),) * 2
+
+    def size(self, columns: int) -> tuple[int, int]:
+        """Return columns and rows of the picture, of which the square field of the Fourier arrangement has as many."""
+        return (columns, columns) if self._objective.images_stop else super().size(columns)
 
     def sharp_range(self) -> tuple[float, float]:
         """Return the range of depths that `design.depth_of_field` states."""
@@ -150,7 +172,7 @@ class MicroscopeView(LensView):
             radius = self.camera.aperture_radius
             rays, _ = self._rays(scene, position, (radius * stop.x, radius * stop.y))
             light, valid = integrator.sample(scene, sampler, rays)[:2]
-            value = [dr.select(valid, light[channel], 0.0).numpy() for channel in range(channels)]
+            value = [dr.select(valid & (rays.maxt > 0), light[channel], 0.0).numpy() for channel in range(channels)]
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
@@ -175,15 +197,16 @@ class MicroscopeView(LensView):
 
     def _rays(self, scene: Any, position: Pair, stop: Pair) -> Any:
         """Return the rays through points of the native object plane and of the stop, in fractions of both."""
-        lens = TelecentricLens(self._objective)
         # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
         width, height = (self._objective.magnification * extent for extent in self.field(0.0))
-        origin, slope, _ = lens.ray(stop, ((position[0] - 0.5) * width, (position[1] - 0.5) * height))
+        image = (position[0] - 0.5) * width, (position[1] - 0.5) * height
+        origin, slope, _ = TelecentricLens(self._objective).ray(stop, image)
         to_world = scene.sensors()[0].world_transform()
         rays = dr.zeros(mi.RayDifferential3f, dr.width(position[0]))
         rays.o = to_world @ mi.Point3f(*origin)
         rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
-        rays.maxt = dr.inf
+        # The field stop, if there is one, ends rays where they start.
+        rays.maxt = dr.select(FourierLens(self._objective).in_field(*image), dr.inf, 0.0)
         return rays, to_world
 
 

@@ -63,10 +63,10 @@ MICROSCOPE = PlenopticCamera(
 FIELD = 16 * 0.15 / 20
 
 
-def before_microscope(size, depth, across=0.0):
+def before_microscope(size, depth, across=0.0, camera=MICROSCOPE):
     disk = mi.ScalarTransform4f().translate([across, 0, depth]).scale(size / 2).rotate([1, 0, 0], 180)
     lamp = {"type": "disk", "to_world": disk, "emitter": {"type": "area", "radiance": 1.0}}
-    return with_camera(cases.scene_of({"type": "perspective"}, lamp=lamp), MICROSCOPE)
+    return with_camera(cases.scene_of({"type": "perspective"}, lamp=lamp), camera)
 
 
 def test_a_microscope_sees_through_its_objective():
@@ -86,6 +86,20 @@ def test_a_microscope_sees_through_its_objective():
     focused = preview_of(before_microscope(0.1 * FIELD, 0.0), MICROSCOPE)
     assert seen.picture.sum() == pytest.approx(focused.picture.sum(), rel=0.05)
     assert focused.picture.max() == 1
+
+
+def test_the_field_stop_is_the_field_of_a_fourier_microscope():
+    lens = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50, field_stop=0.5)
+    camera = MICROSCOPE.replace(main_lens=lens, mla_pitch=0.5, mla_focal_length=20)
+    seen = preview_of(before_microscope(4 * FIELD, 0.0, camera=camera), camera)
+    assert seen.picture.shape == (64, 64) and seen.view.field(0.0) == pytest.approx((0.05, 0.05))
+    # Fully lit within the disc, dark in the corners beyond it.
+    assert seen.picture[32, 32] == 1 and seen.picture[3, 3] == 0 and np.isnan(seen.distance[3, 3])
+    assert seen.picture.mean() == pytest.approx(np.pi / 4, rel=0.01)
+    assert any(
+        "which is sharp under each microlens" in t
+        for t in framing_warnings(preview_of(before_microscope(4 * FIELD, 0.1, camera=camera), camera))
+    )
 
 
 def test_framing_before_a_microscope(tmp_path):
