@@ -206,7 +206,7 @@ class MicroscopeView(LensView):
         rays.o = to_world @ mi.Point3f(*origin)
         rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
         # The field stop, if there is one, ends rays where they start.
-        rays.maxt = dr.select(FourierLens(self._objective).in_field(*image), dr.inf, 0.0)
+        rays.maxt = dr.select(FourierLens(self._objective).field_inset(*image) >= 0, dr.inf, 0.0)
         return rays, to_world
 
 
