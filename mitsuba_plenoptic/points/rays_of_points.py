@@ -38,8 +38,9 @@ def ray_spread(
     rows, columns = camera.shape
     image = np.zeros(rows * columns)
     emitted = 0.0
+    reach = lens.pupil.radius if camera.lens_data.images_stop else lens.reach
     for samples in np.array_split(pupil_samples, math.ceil(len(pupil_samples) / _TOGETHER)):
-        pupil = samples[:, 0] * lens.reach, samples[:, 1] * lens.reach
+        pupil = samples[:, 0] * reach, samples[:, 1] * reach
         x, y, z = (np.full(len(samples), value) for value in point)
         radii = pupil[0] / camera.pupil_radius, pupil[1] / camera.pupil_radius
         power = np.where(light.is_open(pupil), light.amplitude(pupil, (x, y, z)) ** 2, 0.0).ravel()

@@ -7,7 +7,7 @@ import scipy
 import xarray as xr
 
 from ..runtime import Array
-from .coordinates import camera_of, channel_planes, grid_of, view_steps, wavelength_of
+from .coordinates import camera_of, channel_planes, grid_of, view_places, view_steps, wavelength_of
 from .pupil_means import alike_pixels, light_of_views, texture_of
 from .refocusing import moved
 
@@ -28,7 +28,8 @@ class ViewComparison:
     def __init__(self, lf: xr.DataArray) -> None:
         self._lf = lf
         self._texture = texture_of(lf)
-        self._steps = [view_steps(lf, axis) for axis in "uv"]
+        # Along u and along v, (2, v, u).
+        self._steps = view_places(lf)
         self._spread = [spread_of_samples(lf, across) for across in (0, 1)]
         weight = lf["weight"].values
         white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
@@ -39,21 +40,26 @@ class ViewComparison:
             whole, _ = self._light(0.0, wavelength_of(lf))
             brightness -= np.log(whole / self._light(0.0, None)[0])
             self._compared = (np.median(weight, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
-        # Steps by which the mean points of views are nearer to brighter ones.
-        self._brighter = [np.zeros(len(steps)) for steps in self._steps]
-        if min(seen.shape) >= 3:
+        # Steps by which the mean points of views are nearer to brighter ones; stated slopes are means.
+        self._brighter = np.zeros_like(self._steps)
+        whole_view = np.ones((*seen.shape, 1, 1), np.float32)
+        if "slope_x" in lf.coords:
+            whole_view = weight.max(axis=(2, 3), keepdims=True)
+            self._compared = whole_view[..., 0, 0] > 0
+        elif min(seen.shape) >= 3:
             with np.errstate(invalid="ignore"):
                 rises = [np.gradient(brightness, axis=axis, edge_order=2) for axis in (1, 0)]
             for index, rise in enumerate(rises):
                 finite = np.isfinite(rise)
                 mean = np.where(finite, rise, 0).sum(index) / np.maximum(finite.sum(index), 1)
-                self._brighter[index] = self._spread[index] * mean
-        self._weight = ((weight >= LEAST) & self._compared[..., None, None]).astype(np.float32)
+                self._brighter[index] = self._spread[index] * np.expand_dims(mean, index)
+        enough = (weight >= LEAST * whole_view) & self._compared[..., None, None]
+        self._weight = enough.astype(np.float32)
 
     @property
     def narrowed(self) -> float:
         """Fraction by which blur brings the mean points of the views that are compared nearer to the middle."""
-        views = np.stack(np.meshgrid(*self._steps)) * self._compared
+        views = self._steps * self._compared
         if not self._is_decoded or not views.any():
             return 0.0
         light, sums = self._light(0.0, wavelength_of(self._lf))
@@ -69,18 +75,19 @@ class ViewComparison:
         """Return the light of the views by the camera, and its sums; see `light_of_views`."""
         between = self._spread[0] - 1 / 12, self._spread[1] - 1 / 12
         alike = alike_pixels(self._texture, slope)
-        u, v = (tuple(steps.tolist()) for steps in self._steps)
+        u, v = (tuple(view_steps(self._lf, axis).tolist()) for axis in "uv")
         return light_of_views(camera_of(self._lf), wavelength, between, alike, u, v)
 
-    def _places(self, slope: float) -> tuple[Array, Array]:
-        """Return the mean points at which views along v, and along u, see the pupil, in views from the centre."""
-        u, v = (steps + brighter for steps, brighter in zip(self._steps, self._brighter, strict=True))
+    def _places(self, slope: float) -> Array:
+        """Return the mean points, along u and along v, at which views see the pupil, in views from the centre."""
+        places = self._steps + self._brighter
         if self._is_decoded:
             light, sums = self._light(slope, wavelength_of(self._lf))
-            moved_by = (sums / light - np.stack(np.meshgrid(*self._steps))) * self._compared
-            u = u + moved_by[0].sum(0) / np.maximum(self._compared.sum(0), 1)
-            v = v + moved_by[1].sum(1) / np.maximum(self._compared.sum(1), 1)
-        return v, u
+            moved_by = (sums / light - self._steps) * self._compared
+            for axis, seen in enumerate(moved_by):
+                of_line = seen.sum(axis, keepdims=True)
+                places[axis] += of_line / np.maximum(self._compared.sum(axis, keepdims=True), 1)
+        return places
 
     def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between views that are shifted for one disparity.
@@ -130,21 +137,21 @@ class ViewComparison:
         Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
         """
         lf = self._lf
-        v, u = self._places(slope)
+        places = self._places(slope)
         variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
         noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
         for plane in channel_planes(lf):
             # Counts, sums of values and of their squares over each quadrant of the pupil.
             sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
-            for row, row_weight, down in zip(plane, self._weight, v, strict=True):
-                by_row, row_open = (
-                    moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight)
-                )
+            for row, row_weight, *of_row in zip(plane, self._weight, *places, strict=True):
                 passed: list[tuple[Array, Array]] = []
-                for view, view_weight, across in zip(by_row, row_open, u, strict=True):
+                for view, view_weight, across, down in zip(row, row_weight, *of_row, strict=True):
                     if not view_weight.any():
                         continue
-                    total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
+                    total, view_open = (
+                        moved(moved(pixels, down * slope, axis=0), across * slope, axis=1)
+                        for pixels in (view * view_weight, view_weight)
+                    )
                     values = total / np.maximum(view_open, 0.5)
                     # Between a bin and none the values are of places within the field, which moved depths by 1 %.
                     view_open = np.maximum(4 * view_open - 3, 0)

@@ -138,9 +138,7 @@ def test_an_integrator_that_ignores_the_medium_around_an_ordinary_camera_is_refu
 
 
 def test_white_images_need_a_stop_that_bounds_micro_images():
-    lens = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50)
-    camera = mp.PlenopticCamera(main_lens=lens, mla_pitch=0.5, mla_focal_length=20)
-    for each in (camera, mp.PlenopticCamera.preset("shack_hartmann")):
-        refuses("main_lens = .*image of the stop", white_image, each)
+    camera = mp.PlenopticCamera.preset("shack_hartmann")
+    refuses("main_lens = .*image of the pupil", white_image, camera)
     with pytest.raises(RuntimeError, match="no stop bounds its micro-images"):
         mi.load_dict(camera.to_sensor())
