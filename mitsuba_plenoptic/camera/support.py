@@ -347,7 +347,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             _COLLIMATOR,
         ),
         refused(
-            Use.WHITE_IMAGES | Use.SCENE_DERIVATIVES | Use.SCENE_POINTS | Use.POINT_RAYS,
+            Use.SCENE_DERIVATIVES | Use.SCENE_POINTS | Use.POINT_RAYS,
             "lenses see parts of the stop, not its image",
             "CaptureOperator with method full_field",
             _FOURIER,
@@ -380,7 +380,13 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.FIELDS | Use.RAY_REFOCUSING,
             "behind an objective captures are reconstructed by the camera's own point spreads",
             "method incoherent or deconvolved",
-            _OBJECTIVE,
+            _OBJECT_IMAGE,
+        ),
+        refused(
+            Use.FIELDS | Use.RAY_DERIVATIVES,
+            "no wave goes back from lenses that each see all of the object, and rays are not differentiated",
+            "method ray, incoherent or deconvolved of reconstruct",
+            _FOURIER,
         ),
         refused(
             Use.DECODING,

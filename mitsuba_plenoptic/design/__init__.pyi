@@ -4,6 +4,7 @@ from .deconvolved_contrast import resolution_limit as resolution_limit
 from .microscope import depth_of_field as depth_of_field
 from .microscope import depth_step as depth_step
 from .microscope import lens_aperture as lens_aperture
+from .microscope import lens_directions as lens_directions
 from .microscope import lenses_across_stop as lenses_across_stop
 from .microscope import lenses_in_stop as lenses_in_stop
 from .microscope import native_field as native_field

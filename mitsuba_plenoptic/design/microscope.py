@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import PlenopticCamera, one_if_equal
+from ..camera import PlenopticCamera, once_a_camera, one_if_equal
 from ..errors import InputError, refuse_if
 from ..optics import in_millimetres
 from ..prescription import SINGLE, Objective
-from ..runtime import Array, Doubles
+from ..runtime import Array, Doubles, Integers
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
 
@@ -143,6 +143,52 @@ def lenses_in_stop(camera: PlenopticCamera) -> tuple[Array, Doubles]:
     centre = np.stack(lattice.centre(*index.T))
     lit = (np.hypot(*(centre[:, :, None] + aside[:, None])) <= radius).mean(1)
     return index[lit > 0], lit[lit > 0]
+
+
+@dataclass(frozen=True, eq=False)
+class LensDirections:
+    """The directions from which lenses of the Fourier arrangement see the object."""
+
+    # Indices (lenses, 2) of the lenses in the lattice, and the lit part of the area of each.
+    index: Array
+    lit: Doubles
+    # Means over the lit part, (lenses, 2): of the slopes in the object, tan(theta) along x and y, which depth moves the
+    # picture against, and of the places on the detector in mm where the native plane's middle is seen.
+    slope: Doubles
+    middle: Doubles
+
+    def at(self, i: Array, j: Array) -> Integers:
+        """Return the positions in these arrays of lenses by their indices, -1 of those that the stop does not light."""
+        first = self.index.min(0) - 1
+        table = np.full(self.index.max(0) - first + 2, -1)
+        table[tuple((self.index - first).T)] = np.arange(len(self.index))
+        inside = (np.clip(k - low, 0, size - 1) for k, low, size in zip((i, j), first, table.shape, strict=True))
+        return np.asarray(table[tuple(k.astype(np.int64) for k in inside)])
+
+
+@once_a_camera
+def lens_directions(camera: PlenopticCamera) -> LensDirections:
+    r"""Return the directions of the lenses that the stop's image lights, from :math:`n \sin\theta = M m / f_F`.
+
+    A lens out of focus, :math:`z \ne f_2`, whose lit part has its mean at m in place of its centre c, shows the object
+    displaced by :math:`(1 - z / f_2)(m - c)`.
+    """
+    lens = _fourier(camera)
+    lattice = camera.lattice
+    index, lit = lenses_in_stop(camera)
+    numbers = index.T.astype(np.float64)
+    centres = np.stack(lattice.centre(*numbers), -1)
+    defocus = 1 - camera.reduced_distance / np.broadcast_to(camera.lenslet(*numbers).focal_length, len(index))
+    along = (np.arange(_POINTS) + 0.5) / _POINTS
+    aside = np.stack(lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(along, along))))
+    slope, middle = np.empty((2, len(index), 2))
+    for number, centre in enumerate(centres):
+        point = centre[:, None] + aside
+        point = point[:, np.hypot(*point) <= lens.blur_diameter(0) / 2]
+        sine = point * (lens.magnification / (lens.last_focal_length * lens.immersion))
+        slope[number] = (sine / np.sqrt(1 - (sine**2).sum(0))).mean(1)
+        middle[number] = centre + defocus[number] * (point.mean(1) - centre)
+    return LensDirections(index, lit, slope, middle)
 
 
 def parallax(camera: PlenopticCamera, position: float) -> float:

@@ -160,7 +160,8 @@ class EffectiveResolution:
 def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: float) -> float:
     r"""Return the enlargement of a lens's aperture in the object plane, as a pixel sees it: :math:`|1 - s \kappa|`.
 
-    Projected onto the MLA through the main lens's centre; see the head of this module.
+    Projected onto the MLA through the main lens's centre; see the head of this module. In the Fourier arrangement bins,
+    which are pixels in the object, count as wide as a lens.
 
     Parameters
     ----------
@@ -171,6 +172,11 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
     mla_focal_length : float
         Focal length of the microlens in millimetres.
     """
+    if (lens := camera.objective) and lens.images_stop:
+        # Of the object's points that a pixel sees, over the lens's; slopes in the object as those near the axis.
+        moved = lens.magnification / (lens.last_focal_length * lens.immersion) * distance
+        moved -= (1 - camera.detector_distance / mla_focal_length) / lens.view_scale(camera.reduced_distance)
+        return float(abs(moved) * camera.row_pitch / camera.bin_size(distance))
     return abs(1 - camera.defocus(distance) * camera.pupil_shift(mla_focal_length))
 
 
@@ -186,6 +192,8 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
     distance : float
         Object distance from the main lens in millimetres.
     """
+    if camera.lens_data.images_stop:
+        return camera.row_pitch
     return abs(camera.defocus(distance)) * camera.pupil_step
 
 

@@ -40,7 +40,12 @@ def chief_detector_point(camera: PlenopticCamera, m: Any) -> Any:
 
 
 def chief_lenses(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
-    """Lattice indices of the lenses of detector points: those whose cells hold the line to the pupil's centre."""
+    """Lattice indices of the lenses of detector points: those whose cells hold the line to the pupil's centre.
+
+    Behind an objective these lines are parallel to the axis.
+    """
+    if not camera.lens_data.converges:
+        return camera.lattice.cell(x, y)
     return camera.lattice.cell(*(chief_point(camera, p, camera.pupil_distance) for p in (x, y)))
 
 

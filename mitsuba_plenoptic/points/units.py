@@ -34,7 +34,9 @@ def brightness_of(camera: PlenopticCamera, lens: MainLens) -> float:
     """
     if not camera.has_array:
         return float(detector_brightness(lens.pupil.distance, camera.pixel_size))
-    return float(brightness(camera.lattice, lens.reach, camera.reduced_distance, camera.pixel_size))
+    # The reach of rays is that of the field stop where the array stands in an image of the stop.
+    radius = lens.pupil.radius if camera.lens_data.images_stop else lens.reach
+    return float(brightness(camera.lattice, radius, camera.reduced_distance, camera.pixel_size))
 
 
 def brightness_at(system: OpticalSystem, points: Doubles) -> Doubles:

@@ -121,12 +121,13 @@ def read_reconstruction(path: str | Path) -> Reconstruction:
             about.get("kind") != "reconstruction", f"it holds a {short_repr(about.get('kind'))}, not a reconstruction"
         )
         with refusing("its header is not that of a reconstruction:", *NO_RECORD):
+            camera = PlenopticCamera.from_dict(about["camera"])
             return Reconstruction(
                 image,
-                require_number("distance", about["distance"], positive=True, finite=False),
+                require_number("distance", about["distance"], positive=camera.lens_data.converges, finite=False),
                 require_number("bin_size", about["bin_size"], positive=True),
                 str(about["method"]),
-                PlenopticCamera.from_dict(about["camera"]),
+                camera,
                 *(dict(about[name]) for name in ("options", "guards", "facts")),
             )
 

@@ -19,7 +19,7 @@ import numpy as np
 import scipy.fft
 
 from ..camera import PlenopticCamera
-from ..design import lens_footprint, pixel_footprint
+from ..design import lens_directions, lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
 from ..runtime import Array, Doubles, Flags, array_module, require_memory
@@ -176,7 +176,10 @@ def _landing(
     lattice = camera.lattice
     columns = camera.crop_size[0]
     places = []
-    traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
+    if camera.lens_data.images_stop:
+        traced = stop_image_places(camera, distance)
+    else:
+        traced = thin_places(camera, distance, radius) if camera.lens_data.is_thin else traced_places(camera, distance)
     for rows, *position, is_lit in traced:
         lit = np.flatnonzero(is_lit)
         x, y = (
@@ -216,6 +219,26 @@ def thin_places(camera: PlenopticCamera, distance: float, radius: float) -> Iter
         )
         x, y = (np.broadcast_to(values, shape).reshape(-1) for values in (x, y))
         yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
+
+
+def stop_image_places(camera: PlenopticCamera, distance: float) -> Iterator[tuple[slice, Doubles, Doubles, Flags]]:
+    """Yield the result of `traced_places` in the Fourier arrangement, in bins times the pitch, along mean rays.
+
+    The mean is over the part of a pixel's lens that the stop's image lights; other lenses than the pixel's own are
+    taken to be dark.
+    """
+    lenses = lens_directions(camera)
+    px = camera.pixel_coordinates(0)
+    down = camera.pixel_coordinates(1)
+    height = max(1, _BLOCK // px.size)
+    for first in range(0, down.size, height):
+        p = [values.ravel() for values in np.meshgrid(px, down[first : first + height])]
+        number = lenses.at(*camera.lattice.cell(*p))
+        x, y = (
+            -camera.row_pitch * ((q - middle) / camera.pixel_size + distance * slope / camera.bin_size(distance))
+            for q, middle, slope in zip(p, lenses.middle[number].T, lenses.slope[number].T, strict=True)
+        )
+        yield slice(first, first + p[0].size // px.size), x, y, number >= 0
 
 
 def traced_places(camera: PlenopticCamera, distance: float) -> Iterator[tuple[slice, Doubles, Doubles, Flags]]:

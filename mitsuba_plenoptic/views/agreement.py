@@ -7,7 +7,7 @@ import scipy
 import xarray as xr
 
 from ..runtime import Array
-from .coordinates import camera_of, channel_planes, grid_of, view_steps, wavelength_of
+from .coordinates import camera_of, channel_planes, grid_of, view_places, view_steps, wavelength_of
 from .pupil_means import light_of_views, texture_of
 from .refocusing import moved
 
@@ -28,7 +28,8 @@ class ViewComparison:
     def __init__(self, lf: xr.DataArray) -> None:
         self._lf = lf
         self._texture = texture_of(lf)
-        self._steps = [view_steps(lf, axis) for axis in "uv"]
+        # Along u and along v, (2, v, u).
+        self._steps = view_places(lf)
         self._spread = spread_of_samples(lf, 0), spread_of_samples(lf, 1)
         weight = lf["weight"].values
         white, seen = (lf.coords.get(name, lf["weight"]).sum(("t", "s")).values for name in ("white", "weight"))
@@ -40,20 +41,23 @@ class ViewComparison:
             whole, even = (self._light(0.0, wavelength_of(lf), texture)[0] for texture in (1e-3, 1e3))
             brightness -= np.log(even / self._light(0.0, None, 1e3)[0])
             self._compared = (np.median(weight, axis=(2, 3)) >= LEAST) & (whole >= LEAST * whole.max())
-        # Steps by which the mean points of views are nearer to brighter ones.
-        self._brighter = [0.0, 0.0]
-        if min(seen.shape) >= 3:
+        # Steps by which the mean points of views are nearer to brighter ones; stated slopes are means.
+        self._brighter = np.zeros_like(self._steps)
+        whole_view = np.ones((*seen.shape, 1, 1), np.float32)
+        if "slope_x" in lf.coords:
+            whole_view = weight.max(axis=(2, 3), keepdims=True)
+            self._compared = whole_view[..., 0, 0] > 0
+        elif min(seen.shape) >= 3:
             with np.errstate(invalid="ignore"):
                 rises = np.ma.masked_invalid(np.gradient(brightness, edge_order=2)[::-1])
-            self._brighter = [
-                spread * rise.mean(axis).filled(0)
-                for axis, (spread, rise) in enumerate(zip(self._spread, rises, strict=True))
-            ]
-        self._weight = ((weight >= LEAST) & self._compared[..., None, None]).astype(np.float32)
+            for axis, (spread, rise) in enumerate(zip(self._spread, rises, strict=True)):
+                self._brighter[axis] = spread * np.expand_dims(rise.mean(axis).filled(0), axis)
+        enough = (weight >= LEAST * whole_view) & self._compared[..., None, None]
+        self._weight = enough.astype(np.float32)
 
     def narrowed(self, slope: float) -> float:
         """Return the fraction by which blur brings the mean points of views nearer to the middle, for a disparity."""
-        views = np.stack(np.meshgrid(*self._steps)) * self._compared
+        views = self._steps * self._compared
         return float(-(self._moved_by(slope) * views).sum() / max(np.square(views).sum(), 1))
 
     @property
@@ -64,25 +68,23 @@ class ViewComparison:
 
     def _light(self, slope: float, wavelength: float | None, texture: float) -> tuple[Array, Array]:
         """Return the light of the views by the camera, and its sums; see `light_of_views`."""
-        u, v = (tuple(steps.tolist()) for steps in self._steps)
+        u, v = (tuple(view_steps(self._lf, axis).tolist()) for axis in "uv")
         return light_of_views(camera_of(self._lf), wavelength, self._spread, texture, slope or 1e-9, u, v)
 
     def _moved_by(self, slope: float) -> Array:
         """Return by how many steps (2, v, u) blur moves the mean points of the views that are compared."""
         if not self._is_decoded:
-            return np.zeros((2, *self._compared.shape))
+            return np.zeros_like(self._steps)
         light, sums = self._light(slope, wavelength_of(self._lf), self._texture)
-        return (sums / light - np.stack(np.meshgrid(*self._steps))) * self._compared
+        return (sums / light - self._steps) * self._compared
 
-    def _places(self, slope: float) -> tuple[Array, Array]:
-        """Return the mean points at which views along v, and along u, see the pupil, in views from the centre."""
-        u, v = (
-            steps + brighter + moved_by.sum(axis) / np.maximum(self._compared.sum(axis), 1)
-            for axis, (steps, brighter, moved_by) in enumerate(
-                zip(self._steps, self._brighter, self._moved_by(slope), strict=True)
-            )
-        )
-        return v, u
+    def _places(self, slope: float) -> Array:
+        """Return the mean points, along u and along v, at which views see the pupil, in views from the centre."""
+        places = self._steps + self._brighter
+        for axis, moved_by in enumerate(self._moved_by(slope)):
+            of_line = moved_by.sum(axis, keepdims=True)
+            places[axis] += of_line / np.maximum(self._compared.sum(axis, keepdims=True), 1)
+        return places
 
     def disagreement(self, slope: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return the unexplained fraction of the variance between views that are shifted for one disparity.
@@ -132,21 +134,21 @@ class ViewComparison:
         Samples at the pupil's edge are left out. Added are (2, t, s) sums of squares of noise, and how many they are.
         """
         lf = self._lf
-        v, u = self._places(slope)
+        places = self._places(slope)
         variance, mean, views = np.zeros((3, 5, *lf.shape[2:4]), dtype=np.float32)
         noise = np.zeros((2, *lf.shape[2:4]), dtype=np.float32)
         for plane in channel_planes(lf):
             # Counts, sums of values and of their squares over each quadrant of the pupil.
             sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
-            for row, row_weight, down in zip(plane, self._weight, v, strict=True):
-                by_row, row_open = (
-                    moved(view_open, down * slope, axis=1) for view_open in (row * row_weight, row_weight)
-                )
+            for row, row_weight, *of_row in zip(plane, self._weight, *places, strict=True):
                 passed: list[tuple[Array, Array]] = []
-                for view, view_weight, across in zip(by_row, row_open, u, strict=True):
+                for view, view_weight, across, down in zip(row, row_weight, *of_row, strict=True):
                     if not view_weight.any():
                         continue
-                    total, view_open = (moved(pixels, across * slope, axis=1) for pixels in (view, view_weight))
+                    total, view_open = (
+                        moved(moved(pixels, down * slope, axis=0), across * slope, axis=1)
+                        for pixels in (view * view_weight, view_weight)
+                    )
                     values = total / np.maximum(view_open, 0.5)
                     # Between a bin and none the values are of places within the field, which moved depths by 1 %.
                     view_open = np.maximum(4 * view_open - 3, 0)

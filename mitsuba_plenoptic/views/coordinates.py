@@ -9,6 +9,9 @@ x and y are those of the camera frame, +x to the left and +y up. All four coordi
 index: index 0 is the left or the top, so that every view, mosaic and epipolar image is upright when printed as it
 is stored, and the first view is the one from the upper left of the pupil.
 
+Of a Fourier microscope u and v are positions on the stop along the columns and rows of the array, s and t in the native
+object plane, and ``slope_x`` and ``slope_y``, over v and u, say from where a view sees the object.
+
 A light field without a camera (from a file of another program, say) has coordinates in samples instead, centred
 on zero and rising with the index.
 """
@@ -24,6 +27,7 @@ import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
+from ..design import objective_of
 from ..errors import InputError, advice, refuse_if, refusing, require_number, require_wavelength, short_repr
 from ..optics import rays
 from ..prescription import image_distance
@@ -199,6 +203,27 @@ def view_steps(lf: xr.DataArray, axis: str) -> Array:
     return -coordinate / _camera_behind_a_lens(lf).pupil_step if lf.attrs.get("camera") else coordinate
 
 
+def view_places(lf: xr.DataArray) -> Array:
+    """Return the positions (2, v, u) of views, along u and along v, by which points move; as `view_steps`, of any grid.
+
+    Points in the views of a Fourier microscope move by slopes in the object, over that of a lens one pitch aside.
+    """
+    if "slope_x" not in lf.coords:
+        return np.stack(np.meshgrid(view_steps(lf, "u"), view_steps(lf, "v")))
+    return np.stack([lf["slope_x"].values, lf["slope_y"].values]) / _first_slope(camera_of(lf))
+
+
+def has_lens(lf: xr.DataArray | xr.Dataset) -> bool:
+    """Return whether a light field's distances are known, and from a lens: errors are then relative to them."""
+    return bool(lf.attrs.get("camera")) and camera_of(lf).lens_data.converges
+
+
+def _first_slope(camera: PlenopticCamera) -> float:
+    """Return the slope in the object of a small angle, M D2 / n f_F, by which a lens one pitch aside sees it."""
+    lens = objective_of(camera)
+    return float(lens.magnification * camera.row_pitch / (lens.last_focal_length * lens.immersion))
+
+
 def _camera_behind_a_lens(lf: xr.DataArray | xr.Dataset) -> PlenopticCamera:
     """Return a light field's camera, at its wavelength; refuse one whose points move unevenly from view to view."""
     camera = camera_of(lf)
@@ -213,7 +238,7 @@ def channel_planes(lf: xr.DataArray) -> list[Array]:
     return [values] if values.ndim == 4 else list(np.moveaxis(values, 4, 0))
 
 
-def disparity(lf: xr.DataArray, distance: float) -> float:
+def disparity(lf: xr.DataArray | xr.Dataset, distance: float) -> float:
     r"""Return the shift of a point from one view to the next, in pixels of views (lenses) along the index.
 
     A scene point at distance g appears in the view from pupil point P at the lens c = u + P s(g), with u its image
@@ -221,15 +246,22 @@ def disparity(lf: xr.DataArray, distance: float) -> float:
     :math:`\Delta P = -\Delta p\, b/z` apart, so the point moves by :math:`\delta = -s\, \Delta p\, b / (z D_2)`: zero
     in focus, negative (against the view) for nearer points.
 
+    In the Fourier arrangement a point at the depth d is displaced by :math:`-d \tan\theta`: by as many pixels from
+    the axis to a lens whose :math:`\tan\theta` is that of a small angle one pitch off the axis.
+
     Parameters
     ----------
-    lf : xarray.DataArray
-        A light field, (v, u, t, s[, c]).
+    lf : xarray.DataArray or xarray.Dataset
+        A light field with a camera, or the depth map of one.
     distance : float
-        Object distance from the main lens in millimetres.
+        Object distance from the main lens, or depth beyond an objective's native object plane, in millimetres.
     """
-    camera = _camera_behind_a_lens(lf)
+    camera = camera_of(lf)
     distance = require_number("distance", distance, finite=False)
+    if camera.lens_data.images_stop:
+        camera.lens_data.require_distance(camera, distance)
+        return distance * _first_slope(camera) / camera.bin_size(distance)
+    camera = _camera_behind_a_lens(lf)
     image_distance(camera.focal_length, distance)
     return -camera.defocus(distance) * camera.pupil_step / camera.row_pitch
 
@@ -248,6 +280,9 @@ def distance_of(lf: xr.DataArray | xr.Dataset, disparity: Any) -> Any:
     -------
     float64 array of the same shape
     """
+    camera = camera_of(lf)
+    if camera.lens_data.images_stop:
+        return np.asarray(disparity, dtype=np.float64) * camera.bin_size(0) / _first_slope(camera)
     camera = _camera_behind_a_lens(lf)
     s = -np.asarray(disparity, dtype=np.float64) * camera.row_pitch / camera.pupil_step
     power = s - 1 + camera.mla_distance / camera.focal_length

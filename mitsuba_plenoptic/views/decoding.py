@@ -14,7 +14,6 @@ import scipy
 import xarray as xr
 
 from ..camera import PlenopticCamera, Use, are_alike, require_camera, require_support
-from ..design import objective_of
 from ..errors import InputError, refuse_if, short_repr, suggest_keywords, warn
 from ..io import TRUTH_COORDINATES, Capture, CaptureLike, GroundTruth, channel_planes, read_if_path, require_demosaiced
 from ..runtime import Floats, Progress, as_pixels, require_memory
@@ -43,8 +42,9 @@ def decode(
     square one, linearly along its rows and between them.
 
     In a Fourier light-field microscope each lens makes a picture of the whole object: each picture is a view, with one
-    sample a pixel across the field. Light fields of a microscope with the array in the native image plane are not
-    decoded.
+    sample a pixel across the field, and with the coordinates ``slope_x`` and ``slope_y`` over v and u: the mean slope
+    in the object, tan(theta), of the light through the part of its lens that the stop lights. By it `weight` counts
+    lenses that the stop cuts. Light fields of a microscope with the array in the native image plane are not decoded.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def decode(
                 argument is not None,
                 f"{name}: a Fourier microscope, each of whose lenses makes a view, is decoded without",
             )
-        return decode_views(image, camera, objective_of(camera), reference)
+        return decode_views(image, camera, reference, seen)
     if camera is not None:
         lenses = grid or lens_grid(camera)
         bins = bin_grid(camera)
@@ -146,8 +146,8 @@ def checked_images(
 ) -> tuple[np.ndarray, Any, np.ndarray | None, PlenopticCamera | None]:
     """Return image, white image, fractions of the pupil, each (rows, columns, channels), and the camera for `decode`.
 
-    The white image is in units of the radiance 1, but for Fourier microscopes: the recorded one as it is, if there is
-    one, since views of it are scaled. The fractions are those of the camera, None where a recorded white tells more.
+    The white image is in units of the radiance 1. The fractions are those of the camera, None where a recorded white
+    tells more.
     """
     cameras = [] if camera is None else [camera]
     recorded = read_if_path(capture, camera)
@@ -176,14 +176,18 @@ def checked_images(
     reference = seen = None
     if white is not None:
         reference = recorded_white(divisor, (*image.shape[:2], 3), cameras).astype(np.float32).mean(2, keepdims=True)
-    if upright is not None and not upright.lens_data.images_stop:
+    if upright is not None:
         computed = white_image(cameras[0], grid)[..., None]
         opened = clear(cameras[0])
         # Of an even pupil a recorded white tells more than the camera: what else cuts it.
         # Parameters by which parts of the pupil may be darker than others.
-        if reference is None or any(
-            getattr(cameras[0], name) != getattr(opened, name)
-            for name in ("aperture_image", "pupil_apodisation", "vignetting", "pixel_response", "mla_absorption")
+        if (
+            reference is None
+            or upright.lens_data.images_stop
+            or any(
+                getattr(cameras[0], name) != getattr(opened, name)
+                for name in ("aperture_image", "pupil_apodisation", "vignetting", "pixel_response", "mla_absorption")
+            )
         ):
             seen = computed if opened == cameras[0] else white_image(opened, grid)[..., None]
         if reference is not None:

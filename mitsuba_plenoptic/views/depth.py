@@ -23,8 +23,10 @@ from .coordinates import (
     camera_of,
     disparity,
     distance_of,
+    has_lens,
     require_light_field,
     stated_disparities,
+    view_places,
     view_steps,
 )
 from .lens_agreement import LensComparison, light_of_lens
@@ -32,6 +34,7 @@ from .lens_images import MicroImages, micro_images_of
 from .plane_choice import LENSES, VIEWS, Disagreement, choose, disagreement
 from .refocusing import shift_and_add
 from .repetition import wrong_by_repetition
+from .viewpoints import view
 
 RIGHT = 0.01
 """Relative error of a depth that counts as right."""
@@ -86,7 +89,8 @@ def depth_map(
     Parameters
     ----------
     lf : xarray.DataArray
-        A light field. Without a camera its disparities are found, and the confidence is that of an error below 0.05.
+        A light field. Without a camera its disparities are found; then, and of a Fourier microscope, the confidence is
+        that of a disparity with an error below 0.05.
     near, far : float
         Range of distances in millimetres to search; without a camera of disparities, the nearest the least. Default:
         the range that a light field's file states, as folders of HCI do, and half a pixel more; else where a point
@@ -104,11 +108,11 @@ def depth_map(
     Returns
     -------
     xarray.Dataset
-        Over t, s: ``depth`` (distance from the main lens along the axis, mm; NaN where it is unknown; absent without a
-        camera), ``disparity`` (pixels per view along the index, negative nearer than the plane in focus, the best guess
-        everywhere), ``confidence`` (0 to 1), and ``image``, the image in focus
-        everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees (mm),
-        which `depth_error` compares with.
+        Over t, s: ``depth`` (distance from the main lens along the axis, or beyond an objective's native object plane,
+        mm; NaN where it is unknown; absent without a camera), ``disparity`` (pixels per view along the index, negative
+        nearer than the plane in focus, the best guess everywhere), ``confidence`` (0 to 1), and ``image``, the image in
+        focus everywhere; and, where the light field has ground truth, ``truth``, the depth that the central view sees
+        (mm), which `depth_error` compares with.
 
     Raises
     ------
@@ -151,7 +155,7 @@ def depth_map(
         lambda limit: f"planes = {int((limit - copies) // plane)}" if limit > copies + 3 * plane else None,
     )
     choice = choose(
-        *disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT if has_camera else _RIGHT_SHIFT / _ORIGIN
+        *disagreement_of_planes(lf, slopes, progress, micro_images), RIGHT if has_lens(lf) else _RIGHT_SHIFT / _ORIGIN
     )
     disparities = np.interp(choice.plane, np.arange(planes), slopes)
     nearest_plane = np.rint(choice.plane).astype(np.int64)
@@ -165,13 +169,14 @@ def depth_map(
     if is_focused(lf):
         ambiguous = choice.rival * wrong_by_repetition(micro_images or micro_images_of(lf), slopes)
     else:
-        moved = np.abs(disparities) * view_steps(lf, "u").max() > 1
+        moved = np.abs(disparities) * view_places(lf)[0].max() > 1
         ambiguous = finer_stripes(sharp.reshape(*nearest_plane.shape, -1).mean(axis=2), moved)
     probability = choice.probability * (1 - ambiguous)
     dims = ("t", "s")
     maps = dict[str, Any]()
     if has_camera:
-        disparities = _straightened(lf, disparities)
+        if has_lens(lf):
+            disparities = _straightened(lf, disparities)
         depth = np.where((probability < 0.5) | ~choice.agreed, np.nan, distance_of(lf, disparities))
         maps["depth"] = (dims, depth, {"units": "mm"})
     maps |= {
@@ -210,7 +215,7 @@ def _off(lf: xr.DataArray, disparities: Array, narrowed: Array | float) -> Array
     small; over a whole lens, deviations cancel. By what part blur has `narrowed` the pupil is known to a quarter.
     """
     camera = camera_of(lf)
-    steps = view_steps(lf, "u").max()
+    steps = view_places(lf)[0].max()
     moved = np.abs(disparities) * steps
     if is_focused(lf):
         off = _OFF * moved
@@ -229,11 +234,12 @@ def beyond_search(depth: xr.Dataset) -> tuple[float, float]:
     unknown = depth.confidence.values == 0
     near, far = depth.attrs["near"], depth.attrs["far"]
     position = depth.disparity.values
-    if "depth" in depth:
+    if has_lens(depth):
         near *= 1 + 2 * RIGHT
         far /= 1 + 2 * RIGHT
         position = distance_of(depth, position)
     else:
+        near, far = (disparity(depth, end) if "depth" in depth else end for end in (near, far))
         near += 2 * _RIGHT_SHIFT
         far -= 2 * _RIGHT_SHIFT
     return float((unknown & (position < near)).mean()), float((unknown & (position > far)).mean())
@@ -321,8 +327,10 @@ def _default_search(lf: xr.DataArray) -> tuple[float, float]:
     if not lf.attrs.get("camera"):
         return least, greatest
     near, far = distance_of(lf, np.array([least, greatest]))
-    # Nothing nearer than the focal length has an image.
-    return max(float(near), 1.01 * camera_of(lf).focal_length), float(far)
+    # Nothing nearer than the focal length has an image, and nothing lies within an objective.
+    camera = camera_of(lf)
+    nearest = 1.01 * camera.focal_length if has_lens(lf) else -0.99 * camera.focal_length
+    return max(float(near), nearest), float(far)
 
 
 def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> Array:
@@ -366,7 +374,7 @@ def _slopes(lf: xr.DataArray, first: float, last: float, planes: int | None) -> 
 
 def is_focused(lf: xr.DataArray) -> bool:
     """Return whether all microlenses of a light field's camera are focused on the image of the main lens."""
-    return bool(lf.attrs.get("camera")) and "unfocused" not in focus_types(camera_of(lf))
+    return has_lens(lf) and "unfocused" not in focus_types(camera_of(lf))
 
 
 def disagreement_of_planes(
@@ -379,7 +387,7 @@ def disagreement_of_planes(
 
     `micro_images` must be those of a focused camera.
     """
-    central = lf.sel(u=0.0, v=0.0, method="nearest").values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
+    central = view(lf).values.reshape(*lf.shape[2:4], -1).mean(axis=2, dtype=np.float64)
     if is_focused(lf):
         images = micro_images_of(lf) if micro_images is None else micro_images
         if not are_alike(images.camera, camera_of(lf)) or images.bins.shape != lf.shape[2:4]:
@@ -398,14 +406,14 @@ def disagreement_of_planes(
     if is_focused(lf):
         lenses.compare_farther(measured, slopes)
     ratio, variance, counted_for, independent, noise = measured
-    distances = distance_of(lf, slopes) if lf.attrs.get("camera") else 1 / (_ORIGIN - slopes)
+    distances = distance_of(lf, slopes) if has_lens(lf) else 1 / (_ORIGIN - slopes)
     if np.isnan(ratio).all():
         raise InputError(
             f"near = {distances[0]:g}, far = {distances[-1]:g}: views have nothing in common there; of a focused "
             "camera, neighbouring lenses see no common part of what is near the plane in focus on the microlens array"
         )
     narrowed = 0.0 if is_focused(lf) else np.array([views.narrowed(float(slope)) for slope in slopes])
-    off = _off(lf, slopes, narrowed)[:, None, None] if lf.attrs.get("camera") else 0.0
+    off = _off(lf, slopes, narrowed)[:, None, None] if has_lens(lf) else 0.0
     if is_focused(lf):
         off = off * np.hypot(1, lenses.moved_by_errors() * np.abs(slopes[:, None, None]) / _OFF)
     return disagreement(ratio, variance, counted_for, independent, brightness, 1 / distances, noise, off), samples

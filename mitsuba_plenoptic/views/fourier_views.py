@@ -3,7 +3,7 @@ r"""Light fields of the Fourier light-field microscope, in which the picture und
 The lens at c in the image of the stop receives the light that passed the stop at :math:`-c f_T / f_F`, and shows the
 object upright in the camera frame at the scale :math:`z M / f_F`, about the lens's centre
 (`mitsuba_plenoptic.lenses.telecentric`). A view has the pixels of the detector; interpolation is only by fractions of a
-pixel.
+pixel. Views lie in the columns and rows of the array, however it is turned; each states its own direction.
 """
 
 from __future__ import annotations
@@ -11,92 +11,96 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from ..camera import PlenopticCamera
+from ..design import lens_directions, objective_of
 from ..errors import refuse_if
-from ..lenses import main_lens
 from ..prescription import Objective
-from ..runtime import Doubles, Floats, Integers, require_memory
+from ..runtime import Array, Doubles, Floats, Integers, require_memory
 from .coordinates import DIMS, labelled
-from .white import MINIMUM_WEIGHT, divide_by_white, recorded_white
-
-_SAMPLES = 64
-"""Positions along a lens at which the stop is looked up."""
+from .grid import lenses_of_pixels
+from .white import MINIMUM_WEIGHT, divide_by_white
 
 _SAME = 1e-6
-"""Fraction of a pitch by which columns of lenses may differ that are one."""
+"""Fraction of a pitch by which columns of lenses may differ that are one, and of a pixel by which lengths may."""
+
+_OWN = 0.9
+"""Part of the pixels between which a sample is interpolated that must be its own lens's."""
 
 
 @dataclass(frozen=True, eq=False)
 class LensViews:
-    """The lenses of a Fourier microscope whose pictures are views, on a grid of rows and columns."""
+    """The lenses of a Fourier microscope whose pictures are views, on a grid of the array's rows and columns."""
 
-    # Positions of the columns and rows on the array in millimetres, rising; (columns,).
+    # Positions of the columns and rows on the array, in millimetres along its own axes, rising.
     across: Doubles
     down: Doubles
-    # Fraction of a lens there that sees the stop open, and what it records of an even object, over what all the stop
-    # lets through evenly; 0 where there is no lens, as at every second position of a hexagonal array, or where it lies
-    # beyond the image of the stop; both (rows, columns).
-    fraction: Floats
-    light: Floats
-    # Pixels of their pictures on either side of the one in the middle, along x and y.
+    # Of each lens: its row and column, (2, lenses), the middle of its picture on the detector in millimetres, and the
+    # mean slope of its light in the object, (lenses, 2).
+    place: Integers
+    middle: Doubles
+    slope: Doubles
+    # Pixels of the pictures on either side of the one in the middle, along x and y.
     half: tuple[int, int]
+    # The lens of each pixel of the detector, -1 of none of these, (rows, columns).
+    lens_of_pixel: Integers
 
     @classmethod
     def of(cls, camera: PlenopticCamera, lens: Objective) -> LensViews:
         """Return the lenses that lie in the image of the stop."""
         lattice = camera.lattice
         p = camera.pixel_size
-        refuse_if(
-            abs(math.sin(math.radians(2 * camera.mla_rotation))) > _SAME,
-            f"mla_rotation = {camera.mla_rotation:g}: views of a Fourier microscope lie in columns and rows, those "
-            "of the detector; turn the array by a whole number of right angles",
-        )
-        # Width and height of a rectangle about each lens's centre that overlaps no other lens's rectangle.
-        room = float(lattice.pitches[0]), float(lattice.row_distance)
-        upright = abs(math.sin(math.radians(camera.mla_rotation))) < 0.5
-        half = tuple(math.floor(width / (2 * p) - 0.5 + _SAME) for width in (room if upright else room[::-1]))
+        # A picture ends with the lens's cell, or with the field stop.
+        ends = np.abs(lattice.cell_corners()).max(0) / p - 0.5
+        if lens.field_stop is not None:
+            ends = np.minimum(ends, lens.field_stop * camera.reduced_distance / lens.last_focal_length / p + 0.5)
+        half = int(ends[0] + _SAME), int(ends[1] + _SAME)
         refuse_if(min(half) < 1, f"mla_pitch = {min(camera.mla_pitches):g}: a view needs three pixels of {p:g} or more")
-        reach = lens.blur_diameter(0) / 2 + lattice.cell_reach
-        lenses = lattice.lenses_within((-reach, -reach), (reach, reach))
-        x, y = (np.asarray(values, np.float64) for values in lattice.centre(*lenses.T.astype(np.float64)))
-        fraction, light = _in_stop(camera, lens, x, y)
-        light *= camera.lenslet(*lenses.T).gain
-        lit = fraction >= MINIMUM_WEIGHT
+        lenses = lens_directions(camera)
+        lit = lenses.lit >= MINIMUM_WEIGHT
         refuse_if(not lit.any(), f"mla_offset = {camera.mla_offset}: no lens lies in the image of the stop")
+        index, middle = lenses.index[lit].astype(np.float64), lenses.middle[lit]
+        # The array's axes that are nearest to the detector's.
+        turn = math.radians(camera.mla_rotation - 90 * round(camera.mla_rotation / 90))
+        x, y = lattice.regular.centre(*index.T)
         tolerance = _SAME * min(camera.mla_pitches)
-        across, column = _lines(x[lit], tolerance)
-        down, row = _lines(y[lit], tolerance)
-        tables = np.zeros((2, len(down), len(across)), np.float32)
-        tables[:, row, column] = fraction[lit], light[lit]
-        return cls(across, down, tables[0], tables[1], (half[0], half[1]))
+        across, column = _lines(math.cos(turn) * x + math.sin(turn) * y, tolerance)
+        down, row = _lines(math.cos(turn) * y - math.sin(turn) * x, tolerance)
+        lens_of_pixel = np.append(np.where(lit, np.cumsum(lit) - 1, -1), -1)[lenses.at(*lenses_of_pixels(camera))]
+        return cls(across, down, np.stack([row, column]), middle, lenses.slope[lit], half, lens_of_pixel)
+
+    def on_grid(self, values: Array) -> Floats:
+        """Return values of the lenses, (lenses, ...), on the grid, (rows, columns, ...), 0 where there is no lens.
+
+        There is none at every second position of a hexagonal array, nor beyond the image of the stop.
+        """
+        result = np.zeros((len(self.down), len(self.across), *values.shape[1:]), np.float32)
+        result[tuple(self.place)] = values
+        return result
 
 
-def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white: Floats | None) -> xr.DataArray:
+def decode_views(image: Floats, camera: PlenopticCamera, white: Any, seen: Any) -> xr.DataArray:
     """Return a capture of a Fourier microscope as a light field; see `decode`.
 
-    Shapes: `image` (rows, columns, channels), `white` (rows, columns, 1).
+    Shapes: `image` (rows, columns, channels), `white` and `seen`, what it reads and sees of even light, (rows, columns,
+    1).
     """
+    lens = objective_of(camera)
     views = LensViews.of(camera, lens)
-    rows = 2 * views.half[1] + 1
-    columns = 2 * views.half[0] + 1
-    shape = (*views.fraction.shape, rows, columns)
+    shape = len(views.down), len(views.across), 2 * views.half[1] + 1, 2 * views.half[0] + 1
     require_memory(
         4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
     )
-    values = _sampled(image, camera, views)
-    there = _sampled(np.ones((*camera.shape, 1), np.float32), camera, views)[..., 0]
-    weight, divisor = (there * of_lens[:, :, None, None] for of_lens in (views.fraction, views.light))
-    if white is not None:
-        lens_number = np.arange(views.fraction.size).reshape(views.fraction.shape)
-        away = np.hypot(views.across, views.down[:, None])
-        lenses = (np.broadcast_to(lens_number[..., None, None], shape), np.broadcast_to(away[..., None, None], shape))
-        recorded = _sampled(white, camera, views)
-        divisor = recorded_white(recorded, recorded.shape, [camera], divisor, lenses)[..., 0]
-    divide_by_white(values, divisor, weight)
+    own = np.ones((*camera.shape, 1), np.float32)
+    values, divisor, weight, own = (
+        views.on_grid(_sampled(pixels, camera, views)) for pixels in (image, white, seen, own)
+    )
+    divisor, weight = divisor[..., 0], weight[..., 0].clip(0, 1)
+    divide_by_white(values, divisor, weight, own[..., 0] >= _OWN)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, weight), "white": (DIMS, divisor)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
@@ -104,30 +108,10 @@ def decode_views(image: Floats, camera: PlenopticCamera, lens: Objective, white:
     for name, half, axis in (("s", views.half[0], "x"), ("t", views.half[1], "y")):
         steps = np.arange(half, -half - 1, -1) * camera.bin_size(0)
         coordinates[name] = (name, steps, {"units": "mm", "long_name": f"{axis} in the native object plane"})
+    for index, axis in enumerate("xy"):
+        coordinates[f"slope_{axis}"] = (("v", "u"), views.on_grid(views.slope[:, index]).astype(np.float64))
     attributes = {"camera": json.dumps(camera.to_dict())}
     return labelled(values if image.shape[2] == 3 else values[..., 0], coordinates, attributes)
-
-
-def _in_stop(camera: PlenopticCamera, lens: Objective, x: Doubles, y: Doubles) -> Floats:
-    """Return the open fraction of lens apertures, and the light they receive relative to a uniformly lit stop."""
-    lattice = camera.lattice
-    stop = main_lens(camera)
-    reach = lattice.cell_reach
-    offset = (np.arange(_SAMPLES) + 0.5) * (2 * reach / _SAMPLES) - reach
-    dx, dy = (values.ravel() for values in np.meshgrid(offset, offset))
-    inside = np.asarray(lattice.in_aperture(dx, dy), bool)
-    dx = dx[inside]
-    dy = dy[inside]
-    growth = -lens.tube_focal_length / lens.last_focal_length
-    # The mean power over the stop is 1.
-    mean = stop.passed_power / (math.pi * stop.pupil.radius**2)
-    seen = np.empty((2, len(x)), np.float32)
-    for index, (cx, cy) in enumerate(zip(x.tolist(), y.tolist(), strict=True)):
-        pupil = (cx + dx) * growth, (cy + dy) * growth
-        is_open = stop.inside(pupil) >= 0
-        power = np.where(is_open, stop.amplitude(pupil, (0.0, 0.0, 0.0)) ** 2, 0)
-        seen[:, index] = is_open.mean(), power.mean() / mean
-    return seen
 
 
 def _lines(positions: Doubles, tolerance: float) -> tuple[Doubles, Integers]:
@@ -141,21 +125,27 @@ def _lines(positions: Doubles, tolerance: float) -> tuple[Doubles, Integers]:
 
 
 def _sampled(image: Floats, camera: PlenopticCamera, views: LensViews) -> Floats:
-    """Return the pictures upright, (v, u, rows, columns, channels), interpolated linearly; 0 beyond the image."""
-    channels = image.shape[2]
-    half = views.half
-    result = np.zeros((*views.fraction.shape, 2 * half[1] + 1, 2 * half[0] + 1, channels), np.float32)
+    """Return the pictures upright, (lenses, rows, columns, channels), interpolated linearly between pixels.
+
+    Those of other lenses, and beyond the image, count as 0.
+    """
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0))).astype(np.float32, copy=False)
-    for row, column in np.argwhere(views.fraction > 0).tolist():
-        picked: Floats = padded
-        for axis, centre in ((0, views.down[row]), (1, views.across[column])):
-            position = centre / camera.pixel_size + camera.resolution[1 - axis] / 2 - camera.crop_offset[1 - axis] - 0.5
+    lens_of_pixel = np.pad(views.lens_of_pixel, 1, constant_values=-1)
+    pictures = []
+    for number, middle in enumerate(views.middle):
+        lines, fractions = [], []
+        for axis in (1, 0):
+            shift = camera.resolution[axis] / 2 - camera.crop_offset[axis] - 0.5
+            position = middle[axis] / camera.pixel_size + shift
             low = math.floor(position)
-            fraction = np.float32(position - low)
-            index = low + np.arange(-half[1 - axis], half[1 - axis] + 2) + 1
-            lines = np.take(picked, index.clip(0, padded.shape[axis] - 1), axis)
-            first, second = (np.take(lines, np.arange(len(index) - 1) + step, axis) for step in (0, 1))
-            picked = np.asarray((1 - fraction) * first + fraction * second, np.float32)
+            fractions.append(np.float32(position - low))
+            index = low + np.arange(-views.half[axis], views.half[axis] + 2) + 1
+            lines.append(index.clip(0, camera.crop_size[axis] + 1))
+        there = np.ix_(*lines)
+        picked = padded[there] * (lens_of_pixel[there] == number)[..., None]
+        down, across = fractions
+        picked = (1 - down) * picked[:-1] + down * picked[1:]
+        picked = (1 - across) * picked[:, :-1] + across * picked[:, 1:]
         # Pixels rise with x and y, the coordinates of a light field fall.
-        result[row, column] = picked[::-1, ::-1]
-    return result
+        pictures.append(picked[::-1, ::-1])
+    return np.stack(pictures)

@@ -31,9 +31,9 @@ def capture_white(capture: Capture, channels: int, progress: Progress | None = N
     """Return the white image (rows, columns, 1 or `channels`) of a capture's model of light, for a radiance of 1.
 
     A recorded capture, and one that states no wavelength or that signed rays do not compute, has that of rays, without
-    diffraction.
+    diffraction; so has that of a Fourier microscope, whose lenses do not blur the edge of the pupil.
     """
-    if capture.model == "wave":
+    if capture.model == "wave" and not capture.camera.lens_data.images_stop:
         try:
             return wave_white(capture, channels, progress)
         except InputError as error:

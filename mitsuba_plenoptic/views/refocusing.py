@@ -10,7 +10,7 @@ import xarray as xr
 
 from ..errors import refuse_if, require_choice, require_number, suggest_keywords
 from ..runtime import Array, Progress, counted, require_memory
-from .coordinates import channel_planes, require_light_field, view_steps
+from .coordinates import channel_planes, require_light_field, view_places
 from .coordinates import disparity as disparity_at
 from .viewpoints import as_view
 
@@ -37,9 +37,8 @@ def shift_and_add(lf: xr.DataArray, disparity: float) -> xr.DataArray:
     disparity = require_number("disparity", disparity, minimum=-1e6, maximum=1e6)
     weight = lf["weight"].values
     planes = [weight] + [plane * weight for plane in channel_planes(lf)]
-    v = view_steps(lf, "v")
-    u = view_steps(lf, "u")
-    total, *light = (_gather(plane, v * disparity, u * disparity) for plane in planes)
+    shifts = view_places(lf) * disparity
+    total, *light = (_gather(plane, *shifts) for plane in planes)
     visible = total > 1e-6
     image = np.stack([np.where(visible, plane / np.where(visible, total, 1), 0) for plane in light], axis=-1)
     return as_view(lf, image if "c" in lf.dims else image[..., 0])
@@ -54,7 +53,8 @@ def refocus(lf: xr.DataArray, distance: float) -> xr.DataArray:
     lf : xarray.DataArray
         A light field of a camera.
     distance : float
-        Object distance in millimetres, beyond the focal length.
+        Object distance in millimetres, beyond the focal length; of a Fourier microscope the depth beyond its native
+        object plane.
 
     Returns
     -------
@@ -161,12 +161,19 @@ def _add_shifted(total: Array, values: Array, shift: float, axis: int, weights: 
             )
 
 
-def _gather(values: Array, down: Array, across: Array) -> Array:
-    """Return the sum of views (v, u, t, s), each read at its own shift."""
-    by_column = np.zeros(values.shape[1:], dtype=np.float64)
-    for row, shift in zip(values, down, strict=True):
-        _add_shifted(by_column, row, shift, axis=1)
+def _gather(values: Array, across: Array, down: Array) -> Array:
+    """Return the sum of views (v, u, t, s), each read at its own shift, (v, u)."""
     total = np.zeros(values.shape[2:], dtype=np.float64)
-    for column, shift in zip(by_column, across, strict=True):
+    if np.ptp(across, axis=0).any() or np.ptp(down, axis=1).any():
+        for place in np.argwhere(values.any(axis=(2, 3))):
+            moved_down = np.zeros(values.shape[2:], dtype=np.float64)
+            _add_shifted(moved_down, values[tuple(place)], down[tuple(place)], axis=0)
+            _add_shifted(total, moved_down, across[tuple(place)], axis=1)
+        return total
+    # Views in a column are added before they are moved across.
+    by_column = np.zeros(values.shape[1:], dtype=np.float64)
+    for row, shift in zip(values, down[:, 0], strict=True):
+        _add_shifted(by_column, row, shift, axis=1)
+    for column, shift in zip(by_column, across[0], strict=True):
         _add_shifted(total, column, shift, axis=1)
     return total

@@ -39,7 +39,12 @@ def view(lf: xr.DataArray, *, u: float | None = None, v: float | None = None) ->
     (('t', 's'), 1.875)
     """
     lf = require_light_field(lf)
-    return _nearest(lf, u=("u", u), v=("v", v))
+    nearest = _nearest(lf, u=("u", u), v=("v", v))
+    if "slope_x" not in lf.coords or nearest["weight"].values.any():
+        return nearest
+    # Lenses of a Fourier microscope do not fill their columns and rows.
+    away = (lf["u"] - (u or 0.0)) ** 2 + (lf["v"] - (v or 0.0)) ** 2
+    return lf.isel(away.where(lf["weight"].max(("t", "s")) > 0).argmin(("v", "u")))
 
 
 def as_view(lf: xr.DataArray, image: Array) -> xr.DataArray:

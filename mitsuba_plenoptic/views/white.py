@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import math
 from collections.abc import Sequence
@@ -16,14 +17,14 @@ import drjit as dr
 import numpy as np
 
 from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, require_camera, require_support
-from ..design import crosstalk_neighbours
+from ..design import crosstalk_neighbours, lens_directions, objective_of
 from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import STAR, Passage, Walk, deflects_cosines, detector_rows, even_steps, lens_cells, light_of_cells
 from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
-from .grid import LensGrid, lens_indices, lens_numbers, lens_types, micro_image_centres
+from .grid import LensGrid, lens_indices, lens_numbers, lens_types, lenses_of_pixels, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
 # raise their noise.
@@ -148,6 +149,9 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     to 0.2 %, with a picture in the aperture to 1.5 %; figure errors are left out above a million pixels. The detector
     records them as `DetectorOperator` states.
 
+    In the Fourier arrangement it is the light of each pixel's own lens, of the part of it that the stop's image lights,
+    within the field stop: without one, even light of other lenses would lie over it.
+
     Parameters
     ----------
     camera : PlenopticCamera
@@ -164,12 +168,14 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
     Raises
     ------
     InputError
-        If the array is in the image of the stop, or micro-images are so wide or so far out of focus that it would take
-        an hour, or too much memory.
+        If the array is in the image of a telescope's pupil, or micro-images are so wide or so far out of focus that it
+        would take an hour, or too much memory.
     """
     require_camera(camera)
     refuse_if(grid is not None and not isinstance(grid, LensGrid), f"grid = {short_repr(grid)}: it must be a LensGrid")
     require_support(camera, Use.WHITE_IMAGES)
+    if camera.lens_data.images_stop:
+        return np.asarray(DetectorOperator.of(camera).forward(_of_own_lenses(camera)))
     if camera.figure_error and math.prod(camera.shape) > 2**20:
         # It would take many minutes.
         warn("mla_figure_error: white images of more than a million pixels leave it out")
@@ -227,6 +233,34 @@ def white_image(camera: PlenopticCamera, grid: LensGrid | None = None) -> Array:
         added = np.bincount(index - first, weights=fraction[keep])
         image.reshape(-1)[first : first + added.size] += added
     return DetectorOperator.of(camera).forward(image[half : half + rows, half : half + columns])
+
+
+def _of_own_lenses(camera: PlenopticCamera) -> Floats:
+    """Return the white image in the Fourier arrangement of light that passed the lenses above the pixels."""
+    objective = objective_of(camera)
+    lenses = lens_directions(camera)
+    number = lenses.at(*lenses_of_pixels(camera))
+    lens = camera.lenslet(*lenses.index.T.astype(np.float64))
+    image = np.where(number < 0, 0, (lenses.lit * lens.gain)[number])
+    if (stop := objective.field_stop) is None:
+        return image.astype(np.float32)
+    # The stop's image in pixels, which lenses out of focus blur.
+    radius = stop * camera.reduced_distance / objective.last_focal_length / camera.pixel_size
+    blur = np.broadcast_to(1 - camera.reduced_distance / lens.focal_length, len(lenses.lit)) / camera.pixel_size
+    count = min(8, math.ceil(1 + 2 * float(np.abs(blur).max() * camera.lattice.aperture_width)))
+    along = (np.arange(count) + 0.5) / count
+    pixels = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
+    x, y = ((q - c[number]) / camera.pixel_size for q, c in zip(pixels, lenses.middle.T, strict=True))
+    seen = np.zeros(camera.shape)
+    for s, t in itertools.product(along, along):
+        dx, dy = (
+            q - blur[number] * aside for q, aside in zip((x, y), camera.lattice.aperture_point(s, t), strict=True)
+        )
+        if objective.field_stop_shape == "square":
+            seen += np.prod([(radius + 0.5 - abs(q)).clip(0, 1) for q in (dx, dy)], axis=0)
+        else:
+            seen += _square_in_disc(dx, dy, radius)
+    return (image * seen / count**2).astype(np.float32)
 
 
 def recorded_white(

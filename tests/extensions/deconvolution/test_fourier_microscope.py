@@ -2,6 +2,7 @@
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -109,3 +110,17 @@ def test_the_limit_is_where_lenses_pass_nothing():
     depth = 2 * WAVELENGTH * 1e-6 / lens_aperture(SMALL) ** 2
     assert resolution_limit(SMALL, depth, WAVELENGTH).waves == pytest.approx(cutoff / 2 * (1 - math.sqrt(0.5)))
     assert resolution_limit(SMALL, depth).waves == pytest.approx(1 / (2 * lens_aperture(SMALL) * depth))
+
+
+@pytest.mark.parametrize("options", [{"method": "incoherent"}, {"method": "deconvolved", "iterations": 5}])
+def test_bins_hold_the_radiance_of_a_disc_behind_a_field_stop(options):
+    lens = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50, field_stop=2.0)
+    camera = mp.PlenopticCamera(
+        main_lens=lens, mla_pitch=0.5, mla_focal_length=6.0, detector_width=3, resolution=(120, 120)
+    )
+    turned = mi.ScalarTransform4f().translate([0.01, 0.02, 0.02]).rotate([0, 1, 0], 180).scale(0.03)
+    disc = {"type": "disk", "to_world": turned, "emitter": {"type": "area", "radiance": 1.0}}
+    scene = {"type": "scene", "sensor": camera.to_sensor(), "integrator": {"type": "path"}, "disc": disc}
+    capture = mp.render_capture(mi.load_dict(scene), model="ray", spp=64)
+    found = mp.reconstruct(capture, 0.02, wavelength=WAVELENGTH, **options)
+    assert np.nansum(found.image) * found.bin_size**2 == pytest.approx(math.pi * 0.03**2, rel=0.03)
