@@ -41,7 +41,7 @@
 ``flfm``
     A Fourier light-field microscope with the 40x/0.95 dry objective, the Fourier lens of 100 mm, the microlens focal
     length of 16.8 mm and the pixels of 6.5 um of Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy",
-    section 2.1. Ours: hexagonal lenses 676 um apart, so that seven are across the stop's image of 4.75 mm and see 101
+    section 2.1. Ours: hexagonal lenses 679 um apart, so that seven are across the stop's image of 4.75 mm and see 101
     um, in place of their square ones 600 um apart, which see 89 um; the radius of the field stop, with which
     micro-images touch; one lens on the axis; 896 x 896 pixels.
 
@@ -156,10 +156,10 @@ PRESETS: dict[str, dict[str, Any]] = {
             "numerical_aperture": 0.95,
             "arrangement": "fourier",
             "fourier_focal_length": 100.0,
-            "field_stop": 2.0119,
+            "field_stop": 2.0208,
         },
         "mla_focal_length": 16.8,
-        "mla_pitch": 0.676,
+        "mla_pitch": 0.679,
         "mla_lattice": "hexagonal",
         "detector_width": 5.824,
         "resolution": (896, 896),

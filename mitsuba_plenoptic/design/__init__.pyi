@@ -9,6 +9,7 @@ from .microscope import lenses_across_stop as lenses_across_stop
 from .microscope import lenses_in_stop as lenses_in_stop
 from .microscope import native_field as native_field
 from .microscope import objective_of as objective_of
+from .microscope import outermost_lens as outermost_lens
 from .microscope import overlap_warnings as overlap_warnings
 from .microscope import parallax as parallax
 from .microscope import touching_field_stop as touching_field_stop

@@ -260,10 +260,21 @@ def depth_step(camera: PlenopticCamera, wavelength: float) -> float:
     wavelength : float
         Wavelength in nanometres.
     """
-    index, lit = lenses_in_stop(camera)
-    outermost = max(np.hypot(*camera.lattice.centre(*index[lit == 1].T)), default=0.0)
-    moved = abs(parallax(camera, float(outermost))) / _fourier(camera).view_scale(camera.reduced_distance)
+    moved = abs(parallax(camera, outermost_lens(camera))) / _fourier(camera).view_scale(camera.reduced_distance)
     return view_resolution(camera, wavelength) / moved if moved > SINGLE else math.inf
+
+
+def outermost_lens(camera: PlenopticCamera) -> float:
+    """Return the distance in mm from the axis of the outermost whole lens in the stop's image, 0 if there is none.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
+    """
+    index, lit = lenses_in_stop(camera)
+    # 0.99: Lit part of lenses that count as whole; wave captures take them for alike, too.
+    return float(max(np.hypot(*camera.lattice.centre(*index[lit >= 0.99].T)), default=0.0))
 
 
 def touching_field_stop(camera: PlenopticCamera) -> float:

@@ -438,8 +438,8 @@ def _image(camera: PlenopticCamera, lens: Objective) -> _Lines:
 
 
 def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
-    index, lit = design.lenses_in_stop(camera)
-    outer = float(max(np.hypot(*camera.lattice.centre(*index[lit == 1].T)), default=0.0))
+    _, lit = design.lenses_in_stop(camera)
+    outer = design.outermost_lens(camera)
     scale = camera.reduced_distance / lens.last_focal_length
     touching = design.touching_field_stop(camera)
     apart = f"in micro-images that touch at {2 * scale * touching / camera.pixel_size:.4g}"
@@ -455,7 +455,7 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
             "lenses across it",
             f"{design.lenses_across_stop(camera):.3g}",
             "",
-            f"{len(lit)} lit, {(lit == 1).sum()} whole",
+            f"{len(lit)} lit",
         ),
         ("numerical aperture of a lens", f"{design.lens_aperture(camera):.4g}"),
         ("pixel in the object", f"{1e3 * camera.bin_size(0):.4g}", "um"),

@@ -82,12 +82,14 @@ def test_faults_are_warned_of_and_mended():
     assert design.lenses_across_stop(design.mended(few)) == pytest.approx(2)
 
 
-@pytest.mark.parametrize(("name", "across", "whole", "field"), [("flfm", 7.03, 37, 0.1), ("flfm_oil", 3.45, 5, 0.108)])
+@pytest.mark.parametrize(
+    ("name", "across", "whole", "field"), [("flfm", 6.996, 37, 0.101), ("flfm_oil", 3.45, 5, 0.108)]
+)
 def test_presets_suit_and_capture_beads(name, across, whole, field, recwarn):
     camera = mp.PlenopticCamera.preset(name)
     assert design.design_warnings(camera, 550) == []
     assert design.lenses_across_stop(camera) == pytest.approx(across, rel=2e-3)
-    assert (design.lenses_in_stop(camera)[1] == 1).sum() == whole
+    assert (design.lenses_in_stop(camera)[1] >= 0.99).sum() == whole
     assert design.native_field(camera) > field
     assert camera.objective.field_stop == pytest.approx(design.touching_field_stop(camera), rel=3e-5)
     assert 2 <= design.view_resolution(camera, 550) / camera.bin_size(0) <= 3.2
