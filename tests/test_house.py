@@ -52,22 +52,22 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 74_950,
-    "lines of the core": 49_750,
-    "tokens": 530_400,
-    "tokens of the core": 344_200,
-    "functions": 3_960,
+    "lines": 76_000,
+    "lines of the core": 50_750,
+    "tokens": 537_900,
+    "tokens of the core": 351_500,
+    "functions": 4_020,
     "percentage of functions of at most three statements": 47.6,
-    "checks and raises": 1_775,
+    "checks and raises": 1_777,
     "definitions of checks": 116,
-    "names of the core that extensions import": 362,
+    "names of the core that extensions import": 363,
     "modules of the core that extensions import": 28,
-    "constants of modules": 872,
-    "lines of tests": 30_000,
+    "constants of modules": 877,
+    "lines of tests": 30_700,
     "lines of tools": 10_100,
-    "words of docs": 54_936,
+    "words of docs": 55_836,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_150,
+    "lines that a ray capture loads": 16_280,
     "modules that a wave capture loads": 133,
 }
 """Values where the goal is not reached, rounded up."""

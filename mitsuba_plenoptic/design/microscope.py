@@ -182,12 +182,12 @@ def lens_directions(camera: PlenopticCamera) -> LensDirections:
     along = (np.arange(_POINTS) + 0.5) / _POINTS
     aside = np.stack(lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(along, along))))
     slope, middle = np.empty((2, len(index), 2))
-    for number, centre in enumerate(centres):
+    for lens_index, centre in enumerate(centres):
         point = centre[:, None] + aside
         point = point[:, np.hypot(*point) <= lens.blur_diameter(0) / 2]
         sine = point * (lens.magnification / (lens.last_focal_length * lens.immersion))
-        slope[number] = (sine / np.sqrt(1 - (sine**2).sum(0))).mean(1)
-        middle[number] = centre + defocus[number] * (point.mean(1) - centre)
+        slope[lens_index] = (sine / np.sqrt(1 - (sine**2).sum(0))).mean(1)
+        middle[lens_index] = centre + defocus[lens_index] * (point.mean(1) - centre)
     return LensDirections(index, lit, slope, middle)
 
 
@@ -334,12 +334,12 @@ def microscope_findings(camera: PlenopticCamera, wavelength: float | None) -> It
                 (("take narrower lenses", {"mla_pitch": narrower}),),
             )
         sides = (size * camera.pixel_size / 2 for size in camera.resolution)
-        seen = min(sides) * lens.last_focal_length / camera.reduced_distance
-        if lens.field_stop is not None and lens.field_stop > seen * (1 + SINGLE):
+        visible = min(sides) * lens.last_focal_length / camera.reduced_distance
+        if lens.field_stop is not None and lens.field_stop > visible * (1 + SINGLE):
             yield Finding(
-                f"field_stop = {lens.field_stop:.6g}: it is wider than the {seen:.6g} mm to either side in the native "
-                "image plane that the detector sees",
-                (("narrow it", {"main_lens": replace(lens, field_stop=seen)}),),
+                f"field_stop = {lens.field_stop:.6g}: it is wider than the {visible:.6g} mm to either side in the "
+                "native image plane that the detector sees",
+                (("narrow it", {"main_lens": replace(lens, field_stop=visible)}),),
             )
         yield from _overlap(camera, lens)
     else:

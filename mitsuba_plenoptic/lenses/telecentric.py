@@ -153,11 +153,11 @@ class FourierLens(TelecentricLens):
 
     Parameters
     ----------
-    seen : float
+    visible : float
         Radius in mm of the circle in the native image plane that the detector sees through any lens.
     """
 
-    seen: float = math.inf
+    visible: float = math.inf
 
     @property
     def window(self) -> Pupil:
@@ -165,7 +165,7 @@ class FourierLens(TelecentricLens):
         lens = self.objective
         stop = math.inf if lens.field_stop is None else lens.field_stop
         corner = math.sqrt(2) if lens.field_stop_shape == "square" else 1.0
-        return Pupil(min(self.seen, corner * stop), lens.last_focal_length, finite=0)
+        return Pupil(min(self.visible, corner * stop), lens.last_focal_length, finite=0)
 
     @property
     def entrance(self) -> Entrance:

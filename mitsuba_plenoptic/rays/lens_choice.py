@@ -139,7 +139,7 @@ class LensChoice:
         tried = mi.Float(count)
         near = []
         if self.limits is not None:
-            near = [self.is_near(walk, chief, *self.at(cell, mi.UInt32(number))) for number in range(count)]
+            near = [self.is_near(walk, chief, *self.at(cell, mi.UInt32(index))) for index in range(count)]
             if not self.fixed:
                 # Rounding must not leave a point without its own lens.
                 near[0] = mi.Bool(True)

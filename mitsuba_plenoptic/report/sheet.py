@@ -480,8 +480,8 @@ def _microscope_diffraction(camera: PlenopticCamera, lens: Objective, wavelength
         depth = lens.immersion * wavelength * 1e-3 / aperture**2
         resolved = f"{1e3 * design.view_resolution(camera, wavelength):.4g} um"
         rows.append(("limit of a lens", f"{2e6 * aperture / wavelength:.4g}", "lp/mm", resolved))
-        shown = f"{1e3 * design.view_depth(camera, wavelength):.4g}"
-        rows.append(("depth of field", shown, "um", "of a lens, by diffraction and by pixels, from end to end"))
+        of_view = f"{1e3 * design.view_depth(camera, wavelength):.4g}"
+        rows.append(("depth of field", of_view, "um", "of a lens, by diffraction and by pixels, from end to end"))
         step = f"{1e3 * design.depth_step(camera, wavelength):.4g}"
         rows.append(("depth step", step, "um", "that parallax of the outermost whole lens resolves"))
         shallow = 1e-3 * depth

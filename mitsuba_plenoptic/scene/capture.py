@@ -13,7 +13,6 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..choices import MODELS
-from ..design import overlap_warnings
 from ..errors import InputError, advice, argument, refuse_if, require_choice, require_count, suggest_keywords, warn
 from ..io import Capture
 from ..optics import guards
@@ -120,8 +119,11 @@ def render_capture(
     chosen = plenoptic_sensor(scene, sensor)
     camera = PlenopticCamera.from_sensor(chosen)
     warn_of_metres(scene, chosen)
-    for text in overlap_warnings(camera):
-        warn(text)
+    if camera.lens_data.images_stop:
+        from ..design import overlap_warnings
+
+        for text in overlap_warnings(camera):
+            warn(text)
     require_film(chosen.film())
     integrator = chosen_integrator(scene, model, wave)
     require_seen(integrator, chosen)

@@ -95,12 +95,12 @@ def decode_views(image: Floats, camera: PlenopticCamera, white: Any, seen: Any) 
     require_memory(
         4.0 * math.prod(shape) * (2 * image.shape[2] + 4), f"light field of {shape[1]} x {shape[0]} views of its lenses"
     )
-    own = np.ones((*camera.shape, 1), np.float32)
-    values, divisor, weight, own = (
-        views.on_grid(_sampled(pixels, camera, views)) for pixels in (image, white, seen, own)
+    unit = np.ones((*camera.shape, 1), np.float32)
+    values, divisor, weight, alone = (
+        views.on_grid(_sampled(pixels, camera, views)) for pixels in (image, white, seen, unit)
     )
     divisor, weight = divisor[..., 0], weight[..., 0].clip(0, 1)
-    divide_by_white(values, divisor, weight, own[..., 0] >= _OWN)
+    divide_by_white(values, divisor, weight, alone[..., 0] >= _OWN)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, weight), "white": (DIMS, divisor)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):
@@ -132,7 +132,7 @@ def _sampled(image: Floats, camera: PlenopticCamera, views: LensViews) -> Floats
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0))).astype(np.float32, copy=False)
     lens_of_pixel = np.pad(views.lens_of_pixel, 1, constant_values=-1)
     pictures = []
-    for number, middle in enumerate(views.middle):
+    for lens_index, middle in enumerate(views.middle):
         lines, fractions = [], []
         for axis in (1, 0):
             shift = camera.resolution[axis] / 2 - camera.crop_offset[axis] - 0.5
@@ -142,7 +142,7 @@ def _sampled(image: Floats, camera: PlenopticCamera, views: LensViews) -> Floats
             index = low + np.arange(-views.half[axis], views.half[axis] + 2) + 1
             lines.append(index.clip(0, camera.crop_size[axis] + 1))
         there = np.ix_(*lines)
-        picked = padded[there] * (lens_of_pixel[there] == number)[..., None]
+        picked = padded[there] * (lens_of_pixel[there] == lens_index)[..., None]
         down, across = fractions
         picked = (1 - down) * picked[:-1] + down * picked[1:]
         picked = (1 - across) * picked[:, :-1] + across * picked[:, 1:]

@@ -165,10 +165,10 @@ def _gather(values: Array, across: Array, down: Array) -> Array:
     """Return the sum of views (v, u, t, s), each read at its own shift, (v, u)."""
     total = np.zeros(values.shape[2:], dtype=np.float64)
     if np.ptp(across, axis=0).any() or np.ptp(down, axis=1).any():
-        for place in np.argwhere(values.any(axis=(2, 3))):
+        for index in np.argwhere(values.any(axis=(2, 3))):
             moved_down = np.zeros(values.shape[2:], dtype=np.float64)
-            _add_shifted(moved_down, values[tuple(place)], down[tuple(place)], axis=0)
-            _add_shifted(total, moved_down, across[tuple(place)], axis=1)
+            _add_shifted(moved_down, values[tuple(index)], down[tuple(index)], axis=0)
+            _add_shifted(total, moved_down, across[tuple(index)], axis=1)
         return total
     # Views in a column are added before they are moved across.
     by_column = np.zeros(values.shape[1:], dtype=np.float64)

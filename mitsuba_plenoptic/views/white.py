@@ -239,9 +239,9 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     """Return the white image in the Fourier arrangement of light that passed the lenses above the pixels."""
     objective = objective_of(camera)
     lenses = lens_directions(camera)
-    number = lenses.at(*lenses_of_pixels(camera))
+    lens_number = lenses.at(*lenses_of_pixels(camera))
     lens = camera.lenslet(*lenses.index.T.astype(np.float64))
-    image = np.where(number < 0, 0, (lenses.lit * lens.gain)[number])
+    image = np.where(lens_number < 0, 0, (lenses.lit * lens.gain)[lens_number])
     if (stop := objective.field_stop) is None:
         return image.astype(np.float32)
     # The stop's image in pixels, which lenses out of focus blur.
@@ -250,11 +250,11 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     count = min(8, math.ceil(1 + 2 * float(np.abs(blur).max() * camera.lattice.aperture_width)))
     along = (np.arange(count) + 0.5) / count
     pixels = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
-    x, y = ((q - c[number]) / camera.pixel_size for q, c in zip(pixels, lenses.middle.T, strict=True))
+    x, y = ((q - c[lens_number]) / camera.pixel_size for q, c in zip(pixels, lenses.middle.T, strict=True))
     seen = np.zeros(camera.shape)
     for s, t in itertools.product(along, along):
         dx, dy = (
-            q - blur[number] * aside for q, aside in zip((x, y), camera.lattice.aperture_point(s, t), strict=True)
+            q - blur[lens_number] * aside for q, aside in zip((x, y), camera.lattice.aperture_point(s, t), strict=True)
         )
         if objective.field_stop_shape == "square":
             seen += np.prod([(radius + 0.5 - abs(q)).clip(0, 1) for q in (dx, dy)], axis=0)

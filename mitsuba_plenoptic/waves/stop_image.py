@@ -83,17 +83,17 @@ class StopLenses:
         radius = float(objective_of(camera).blur_diameter(0)) / 2
         along = (np.arange(_SAMPLES) + 0.5) * (2 / _SAMPLES) - 1
         grid = np.meshgrid(along, along)
-        whole = LitPart(plain, (0.0, 0.0), math.inf)
-        shapes = [np.asarray(whole.power(*grid))]
-        parts, kind = [whole], []
+        uncut = LitPart(plain, (0.0, 0.0), math.inf)
+        shapes = [np.asarray(uncut.power(*grid))]
+        parts, kind = [uncut], []
         for centre in np.stack(lattice.centre(*index.T), -1).tolist():
-            part = LitPart(plain, tuple(centre), radius)
-            shape = np.asarray(part.power(*grid))
-            apart = [abs(shape - other).sum() / shapes[0].sum() for other in shapes]
+            lit_part = LitPart(plain, tuple(centre), radius)
+            shape = np.asarray(lit_part.power(*grid))
+            apart = [abs(shape - known_shape).sum() / shapes[0].sum() for known_shape in shapes]
             nearest = int(np.argmin(apart))
             if apart[nearest] > _ALIKE:
                 nearest = len(parts)
-                parts.append(part)
+                parts.append(lit_part)
                 shapes.append(shape)
             kind.append(nearest)
         refuse_if(
@@ -121,7 +121,7 @@ class LensDiffraction(PupilDiffraction):
         kind: int = 0,
     ) -> None:
         lenses = stop_lenses(camera)
-        part = lenses.parts[kind]
+        lit_part = lenses.parts[kind]
         alone = PlenopticCamera(
             focal_length=camera.reduced_focal_lengths[0],
             aperture_radius=float(camera.lattice.aperture_reach),
@@ -130,7 +130,7 @@ class LensDiffraction(PupilDiffraction):
             detector_width=camera.detector_width,
             resolution=camera.resolution,
         )
-        super().__init__(alone, wavelength, fine, shortest, part, _MOST_CELLS)
+        super().__init__(alone, wavelength, fine, shortest, lit_part, _MOST_CELLS)
         refuse_if(
             self.is_coarse,
             f"detector_width = {camera.detector_width:g}: pixels of {camera.pixel_size:.3g} mm are too coarse for the "

@@ -97,8 +97,8 @@ class LensView:
     def size(self, columns: int) -> tuple[int, int]:
         """Return columns and rows of the picture: whole pixels for each bin, and at least so many columns."""
         across, down = self.camera.bin_count
-        each = -(-columns // across)
-        return across * each, down * each
+        width = -(-columns // across)
+        return across * width, down * width
 
     def drawn_range(self, distances: Array) -> tuple[float, float]:
         """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
