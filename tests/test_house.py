@@ -64,7 +64,7 @@ REACHED = {
     "modules of the core that extensions import": 28,
     "constants of modules": 877,
     "lines of tests": 30_700,
-    "lines of tools": 10_100,
+    "lines of tools": 10_160,
     "words of docs": 55_836,
     "modules that a ray capture loads": 97,
     "lines that a ray capture loads": 16_280,

@@ -1,17 +1,20 @@
-"""The light-field microscope's point spreads against pyolaf's."""
+"""The light-field microscope's point spreads against pyolaf's, and the cost of waves in the Fourier arrangement."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from cases import relative
 
-from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera
+from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, render_capture, with_camera
 
 from .. import Row, at_most, case
+from ..timing import once
 
 WAVELENGTH = 550.0
 
@@ -125,3 +128,51 @@ def against_pyolaf(*, finest: int = 7) -> Iterator[Row]:
             "each": ", ".join(f"{relative(spread, mine):.2%}" for spread in spreads),
             "judged": difference if changes[-1] < 0.01 else None,
         }
+
+
+@case(
+    "microscope.fourier",
+    "Processor time in seconds of captures in the Fourier arrangement, by rays and by waves, in turn in one process",
+    {
+        "scene": "{scene}", "pixels": "{pixels}", "samples": "{samples}", "rays (s)": "{rays:.2f}",
+        "first by waves (s)": "{first:.1f}", "waves (s)": "{waves:.2f}", "waves over rays": "{ratio:.2f}",
+        "light over that of rays": "{light:.4f}",
+    },
+    (at_most("ratio", 2.0),),
+    quick={"pixels": (256,)},
+)  # fmt: skip
+def fourier(
+    *,
+    pixels: tuple[int, ...] = (1024, 2048),
+    samples: int = 16,
+    runs: int = 3,
+    scenes: tuple[str, ...] = ("plane", "beads"),
+) -> Iterator[Row]:
+    """Time captures of a textured plane and of beads before seven hexagonal lenses across the stop."""
+    for name, size in itertools.product(scenes, pixels):
+        lens = Objective(20, 0.5, arrangement="fourier", fourier_focal_length=125.0, field_stop=5.6)
+        camera = PlenopticCamera(
+            main_lens=lens, mla_pitch=0.9, mla_focal_length=10.0, mla_lattice="hexagonal", detector_width=6.3,
+            resolution=(size, size),
+        )  # fmt: skip
+        scene = with_camera("beads" if name == "beads" else _plane(camera), camera)
+        times: dict[str, list[float]] = {"ray": [], "wave": []}
+        sums = {}
+        for seed, (model, own) in itertools.product(range(1 + runs), times.items()):
+            wave = {"wavelength": WAVELENGTH} if model == "wave" else {}
+            capture, _, seconds = once(partial(render_capture, scene, model=model, spp=samples, seed=seed, **wave))
+            own.append(seconds)
+            sums[model] = capture.image.sum(dtype=np.float64)
+        rays, waves = (float(np.mean(own[1:])) for own in times.values())
+        yield {
+            "scene": name, "pixels": size, "samples": samples, "rays": rays, "first": times["wave"][0], "waves": waves,
+            "ratio": waves / rays, "light": sums["wave"] / sums["ray"],
+        }  # fmt: skip
+
+
+def _plane(camera: PlenopticCamera) -> mi.Scene:
+    texels = np.random.default_rng(0).random((256, 256, 1)).astype(np.float32)
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
+    place = mi.ScalarTransform4f().rotate([1, 0, 0], 180).scale(0.35)
+    plane = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}}
+    return mi.load_dict({"type": "scene", "sensor": camera.to_sensor(), "integrator": {"type": "path"}, "plane": plane})
