@@ -172,6 +172,11 @@ def lens_directions(camera: PlenopticCamera) -> LensDirections:
 
     A lens out of focus, :math:`z \ne f_2`, whose lit part has its mean at m in place of its centre c, shows the object
     displaced by :math:`(1 - z / f_2)(m - c)`.
+
+    Parameters
+    ----------
+    camera : PlenopticCamera
+        A microscope in the Fourier arrangement.
     """
     lens = _fourier(camera)
     lattice = camera.lattice
