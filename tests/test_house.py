@@ -53,12 +53,12 @@ GOALS = {
 
 REACHED = {
     "lines": 76_000,
-    "lines of the core": 50_750,
-    "tokens": 537_900,
-    "tokens of the core": 351_500,
+    "lines of the core": 50_800,
+    "tokens": 538_100,
+    "tokens of the core": 351_700,
     "functions": 4_020,
     "percentage of functions of at most three statements": 47.6,
-    "checks and raises": 1_777,
+    "checks and raises": 1_778,
     "definitions of checks": 116,
     "names of the core that extensions import": 363,
     "modules of the core that extensions import": 28,

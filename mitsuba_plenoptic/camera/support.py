@@ -222,6 +222,12 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "captures of scenes by rays or signed rays",
             _UNWEIGHTED,
         ),
+        refused(
+            Use.RAYS | Use.SCENES | Use.RAY_SPREADS | Use.WHITE_IMAGES,
+            "the array is in the stop's image, which all pixels see",
+            "mla_transmissions",
+            _STOP_IMAGE,
+        ),
         _NO_DERIVATIVE,
     ),
     "mla_medium": (refused(Use.CALIBRATION, "it is not told from other distances"),),

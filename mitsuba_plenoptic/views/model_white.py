@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera, has_small_lenses, once_a_camera
+from ..design import overlap_warnings
 from ..detector import DetectorOperator
 from ..errors import InputError, warn
 from ..extension import hook
@@ -31,9 +32,10 @@ def capture_white(capture: Capture, channels: int, progress: Progress | None = N
     """Return the white image (rows, columns, 1 or `channels`) of a capture's model of light, for a radiance of 1.
 
     A recorded capture, and one that states no wavelength or that signed rays do not compute, has that of rays, without
-    diffraction; so has that of a Fourier microscope, whose lenses do not blur the edge of the pupil.
+    diffraction; so has that of a Fourier microscope whose micro-images overlap, where a pixel's own lens counts.
     """
-    if capture.model == "wave" and not capture.camera.lens_data.images_stop:
+    overlaps = capture.camera.lens_data.images_stop and any(overlap_warnings(capture.camera))
+    if capture.model == "wave" and not overlaps:
         try:
             return wave_white(capture, channels, progress)
         except InputError as error:

@@ -20,6 +20,7 @@ from ..camera import Aperture, Opening, PlenopticCamera, Round, Use, are_alike, 
 from ..design import crosstalk_neighbours, lens_directions, objective_of
 from ..detector import DetectorOperator
 from ..errors import InputError, refuse_if, short_repr, warn
+from ..fields import has_response
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import STAR, Passage, Walk, deflects_cosines, detector_rows, even_steps, lens_cells, light_of_cells
@@ -242,6 +243,15 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     lens_number = lenses.at(*lenses_of_pixels(camera))
     lens = camera.lenslet(*lenses.index.T.astype(np.float64))
     image = np.where(lens_number < 0, 0, (lenses.lit * lens.gain)[lens_number])
+    pixels = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
+    if has_response(camera):
+        counts = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0, np.ndarray)
+        across, up = camera.lattice.aperture_point(*np.meshgrid(*2 * [(np.arange(8) + 0.5) / 8]))
+        aside = [q - c[lens_number] for q, c in zip(pixels, np.stack(lens.centre), strict=True)]
+        steps = zip(across.ravel(), up.ravel(), strict=True)
+        image *= np.mean(
+            [counts(np.hypot(aside[0] - x, aside[1] - y), camera.detector_distance) for x, y in steps], axis=0
+        )
     if (stop := objective.field_stop) is None:
         return image.astype(np.float32)
     # The stop's image in pixels, which lenses out of focus blur.
@@ -249,7 +259,6 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     blur = np.broadcast_to(1 - camera.reduced_distance / lens.focal_length, len(lenses.lit)) / camera.pixel_size
     count = min(8, math.ceil(1 + 2 * float(np.abs(blur).max() * camera.lattice.aperture_width)))
     along = (np.arange(count) + 0.5) / count
-    pixels = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
     x, y = ((q - c[lens_number]) / camera.pixel_size for q, c in zip(pixels, lenses.middle.T, strict=True))
     seen = np.zeros(camera.shape)
     for s, t in itertools.product(along, along):

@@ -31,6 +31,8 @@ class WhiteCapture(SignedCapture):
     @property
     def kind(self) -> type[SignedRaySum]:
         """The sum of cells of lenses where there is one, otherwise that of random rays."""
+        if self.camera.lens_data.images_stop:
+            return super().kind
         is_steep = bool(self.camera.pixel_response) and not self.nodes[0].plan.lands_by_point
         return WhiteSum if self.camera.has_array and not is_steep else SignedRaySum
 

@@ -136,13 +136,13 @@ BY_RAYS = {
 by_rays = pytest.mark.parametrize("camera", BY_RAYS.values(), ids=BY_RAYS)
 
 
-def rendered(camera, shape=None, depth=0.0, place=(0.0, 0.0), size=1.0, radiance=1.0, spp=64):
-    """Return a ray capture of an even or textured surface that faces the objective, by default of even light."""
+def rendered(camera, shape=None, depth=0.0, place=(0.0, 0.0), size=1.0, radiance=1.0, spp=64, **model):
+    """Return a capture, by rays unless told, of a surface that faces the objective, by default of even light."""
     turned = mi.ScalarTransform4f().translate([*place, depth]).rotate([0, 1, 0], 180).scale(size)
     surface = {"type": shape, "to_world": turned, "emitter": {"type": "area", "radiance": radiance}}
     light = {"type": "constant", "radiance": 1.0} if shape is None else surface
     scene = {"type": "scene", "sensor": camera.to_sensor(), "integrator": {"type": "path"}, "light": light}
-    return render_capture(mi.load_dict(scene), model="ray", spp=spp)
+    return render_capture(mi.load_dict(scene), spp=spp, **model or {"model": "ray"})
 
 
 @by_rays
@@ -183,6 +183,17 @@ def test_an_even_scene_reads_one(camera):
         middle = image[np.hypot(row[:, None], column) < 14]
         assert np.abs(middle - 1).max() < 0.05
         assert middle.mean() == pytest.approx(1, abs=0.004)
+
+
+@pytest.mark.parametrize("changes", [{"mla_absorption": 0.05}, {"pixel_response": (0, 1, 5, 0.4)}])
+@pytest.mark.parametrize("model", ["ray", pytest.param("wave", marks=pytest.mark.slow)])
+def test_an_even_scene_reads_one_whatever_pixels_and_medium_take(changes, model):
+    """By waves, what diffraction takes is divided out, too."""
+    camera = microscope(**changes)
+    capture = rendered(camera, model=model, **({"wavelength": 550.0} if model == "wave" else {}))
+    lf = decode(capture)
+    assert np.median(capture.image[capture.image > 0.5]) < 0.9
+    assert lf.values[lf.weight.values > 0.5].mean() == pytest.approx(1, abs=0.006)
 
 
 @by_rays
