@@ -139,7 +139,7 @@ def against_pyolaf(*, finest: int = 7) -> Iterator[Row]:
         "light over that of rays": "{light:.4f}",
     },
     (at_most("ratio", "limit"),),
-    quick={"pixels": (256,)},
+    quick={"pixels": (512,)},
 )  # fmt: skip
 def fourier(
     *,
