@@ -58,7 +58,7 @@ REACHED = {
     "tokens of the core": 351_700,
     "functions": 4_020,
     "percentage of functions of at most three statements": 47.6,
-    "checks and raises": 1_778,
+    "checks and raises": 1_779,
     "definitions of checks": 116,
     "names of the core that extensions import": 363,
     "modules of the core that extensions import": 28,

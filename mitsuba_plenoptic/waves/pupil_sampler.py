@@ -55,15 +55,6 @@ class PupilSampler(DetectorGrid):
         position = self._middle(pixels)
         return CellLenses(position, position, 0.0, dr.zeros(mi.UInt32, dr.width(pixels.index)))
 
-    def cosines(self, pixels: Pixels) -> Pair:
-        """Return direction cosines on which no kernel depends."""
-        nothing = dr.zeros(mi.Float, dr.width(pixels.index))
-        return nothing, nothing
-
-    def cosine_steps(self, kind: int) -> Doubles:
-        """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells."""
-        return np.zeros((self._parts**2, 2))
-
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: response of pixels, and the disc's power over an open pupil's.
 

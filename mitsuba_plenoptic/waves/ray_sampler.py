@@ -125,6 +125,15 @@ class DetectorGrid:
         )
         return x, y
 
+    def cosines(self, pixels: Pixels) -> Pair:
+        """Return direction cosines on which no kernel depends."""
+        nothing = dr.zeros(mi.Float, dr.width(pixels.index))
+        return nothing, nothing
+
+    def cosine_steps(self, kind: int) -> Doubles:
+        """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells."""
+        return np.zeros((self._parts**2, 2))
+
     def cells(self, lenses: CellLenses, pixel: Any, cell: Any) -> tuple[CellLenses, Any]:
         """Return cells of some numbers in pixels, row by row, with the pixels' lenses, and their numbers among all."""
         row = quotient(cell, self._parts)

@@ -99,7 +99,7 @@ class StopLenses:
         refuse_if(
             len(parts) > _MOST_KINDS,
             f"main_lens = {camera.lens_data.label}: the edge of the stop's image cuts lenses to {len(parts) - 1} "
-            f"different parts; wave captures take {_MOST_KINDS - 1}: take wider lenses, or an array in the axis",
+            f"different parts; wave captures take {_MOST_KINDS - 1}: take wider lenses, or one on the axis",
         )
         return cls(index, lit, np.array(kind), parts)
 
@@ -227,15 +227,6 @@ class StopSampler(DetectorGrid):
         position = self._middle(pixels)
         lens = self.walk.lenslet(*self.choice.at(position, pixels.lens))
         return CellLenses(position, lens.centre, lens.height, dr.zeros(mi.UInt32, dr.width(pixels.lens)), lens.gain)
-
-    def cosines(self, pixels: Pixels) -> Pair:
-        """Return direction cosines on which no kernel depends."""
-        nothing = dr.zeros(mi.Float, dr.width(pixels.index))
-        return nothing, nothing
-
-    def cosine_steps(self, kind: int) -> Doubles:
-        """Return the changes (places, 2) of `cosines` from a pixel's centre to its cells."""
-        return np.zeros((self._parts**2, 2))
 
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of lenses, and response of pixels."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..camera import PlenopticCamera
+from ..errors import refuse_if
 from ..runtime import Array
 from .convolution import Block
 from .signed_rays import SignedRaySum
@@ -27,6 +28,7 @@ class StopSum:
             of_kind = [replace(node, plan=lens_diffraction(node.plan, kind)) for node in nodes]
             if of_kind[0].plan.pixels.columns and of_kind[0].plan.pixels.rows:
                 self._sums.append(SignedRaySum(camera, light, of_kind, *arguments, **options))
+        refuse_if(not self._sums, f"crop_offset = {camera.crop_offset}: no lens sends light to the recorded pixels")
         self.box, self.channels, self.arrays = self._sums[0].box, self._sums[0].channels, self._sums[0].arrays
         self.items = np.concatenate([of_kind.items for of_kind in self._sums])
         self.image, self.probe = self._sums[0].image, self._sums[0].probe
