@@ -329,6 +329,12 @@ class Lattice(abc.ABC):
         radius = module.sqrt(s) * self.aperture_reach
         return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
 
+    def aperture_grid(self, count: int) -> Array:
+        """Return points (2, n) evenly over the aperture, about `count` along each side, whose mean is its centre."""
+        # As many in each of the three rhombi of a hexagon.
+        s, t = ((np.arange(n) + 0.5) / n for n in (count if self.rectangular else 3 * math.ceil(count / 3), count))
+        return np.reshape(self.aperture_point(*np.meshgrid(s, t)), (2, -1))
+
     def aperture_image(self, step: float, scale: float) -> Array:
         """Return the fraction of each sample of width `step` that an aperture, enlarged by `scale`, covers.
 

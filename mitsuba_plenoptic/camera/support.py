@@ -359,11 +359,12 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             _FOURIER,
         ),
         refused(
-            Use.POINTS | Use.POINT_DERIVATIVES,
+            Use.POINTS,
             "light covers all of the stop's image, in which the array stands",
             "CaptureOperator with method full_field",
-            _STOP_IMAGE,
+            _COLLIMATOR,
         ),
+        approximate(Use.POINTS, "points of a depth share one spread, moved by splines: errors of 0.1 %", _FOURIER),
         refused(
             _RECONSTRUCTIONS | Use.RAY_REFOCUSING | Use.DECODING,
             "the array is in the image of a telescope's pupil, from which captures are not refocused",

@@ -138,8 +138,7 @@ def lenses_in_stop(camera: PlenopticCamera) -> tuple[Array, Doubles]:
     radius = _fourier(camera).blur_diameter(0) / 2
     far = radius + float(lattice.aperture_reach)
     index = lattice.lenses_within((-far, -far), (far, far))
-    along = (np.arange(_POINTS) + 0.5) / _POINTS
-    aside = np.stack(lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(along, along))))
+    aside = lattice.aperture_grid(_POINTS)
     centre = np.stack(lattice.centre(*index.T))
     lit = (np.hypot(*(centre[:, :, None] + aside[:, None])) <= radius).mean(1)
     return index[lit > 0], lit[lit > 0]
@@ -184,8 +183,7 @@ def lens_directions(camera: PlenopticCamera) -> LensDirections:
     numbers = index.T.astype(np.float64)
     centres = np.stack(lattice.centre(*numbers), -1)
     defocus = 1 - camera.reduced_distance / np.broadcast_to(camera.lenslet(*numbers).focal_length, len(index))
-    along = (np.arange(_POINTS) + 0.5) / _POINTS
-    aside = np.stack(lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(along, along))))
+    aside = lattice.aperture_grid(_POINTS)
     slope, middle = np.empty((2, len(index), 2))
     for lens_index, centre in enumerate(centres):
         point = centre[:, None] + aside

@@ -80,8 +80,7 @@ class LensKinds:
     @cached_property
     def _moments(self) -> tuple[float, float]:
         """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
-        along = (np.arange(ACCURACY.moment_samples) + 0.5) / ACCURACY.moment_samples
-        x, y = self.camera.lattice.aperture_point(*np.meshgrid(along, along))
+        x, y = self.camera.lattice.aperture_grid(ACCURACY.moment_samples)
         square = x * x + y * y
         return float(square.mean()), float((square**2).mean())
 

@@ -32,6 +32,7 @@ from .sampling import check_positions as check_positions
 from .sampling import footprint as footprint
 from .scene_points import PointsCapture as PointsCapture
 from .scene_points import require_matte as require_matte
+from .shifted_fields import fine_camera as fine_camera
 from .tile import Copies as Copies
 from .tile import Scatter as Scatter
 from .units import brightness_at as brightness_at

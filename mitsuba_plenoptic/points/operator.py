@@ -25,6 +25,7 @@ from .mixing import SpectralSum, WavelengthPlans, WeightChannels, mix
 from .patch_plan import PatchPlan
 from .pupil_weights import PupilWeights
 from .sampling import check_positions
+from .shifted_fields import ShiftedPlan
 from .units import brightness_at
 
 PLANS: dict[str, type] = {"patch": PatchPlan, "full_field": FullFieldPlan}
@@ -140,7 +141,8 @@ class CaptureOperator(CoherentPoints, LinearMap):
             )
         systems = {} if system is None else {system.wavelength: system}
         planned_for = self.points, self._pupil_weights, self._accuracy
-        self._plans = WavelengthPlans(PLANS[method], open_, *planned_for, systems)
+        plan = ShiftedPlan if method == "patch" and camera.lens_data.images_stop else PLANS[method]
+        self._plans = WavelengthPlans(plan, open_, *planned_for, systems)
         self._differentials: Differentials | None = None
         wavelengths = 1 if spectrum is None else len(spectrum.wavelengths)
         channels = 1 if spectrum is None else spectrum.channels

@@ -292,9 +292,7 @@ def light_of_lens(camera: PlenopticCamera, f2: float, place: Array, x: Array, y:
 
     The light (..., n), to which pixels respond, is that of samples which see the pupil point (x, y) through the centre.
     """
-    position = (np.arange(_POINTS) + 0.5) / _POINTS
-    # Evenly on the lens's aperture.
-    right, up = camera.lattice.aperture_point(*(axis.ravel() for axis in np.meshgrid(position, position)))
+    right, up = camera.lattice.aperture_grid(_POINTS)
     height = camera.array_height(*place)
     kappa = camera.pupil_shift(f2, height)
     x = x[..., None]

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import math
 from collections.abc import Sequence
@@ -246,11 +245,13 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     pixels = np.meshgrid(*(camera.pixel_coordinates(axis) for axis in (0, 1)))
     if has_response(camera):
         counts = second_leg(camera.pixel_response or (), camera.mla_absorption or 0.0, np.ndarray)
-        across, up = camera.lattice.aperture_point(*np.meshgrid(*2 * [(np.arange(8) + 0.5) / 8]))
         aside = [q - c[lens_number] for q, c in zip(pixels, np.stack(lens.centre), strict=True)]
-        steps = zip(across.ravel(), up.ravel(), strict=True)
         image *= np.mean(
-            [counts(np.hypot(aside[0] - x, aside[1] - y), camera.detector_distance) for x, y in steps], axis=0
+            [
+                counts(np.hypot(aside[0] - x, aside[1] - y), camera.detector_distance)
+                for x, y in camera.lattice.aperture_grid(8).T
+            ],
+            axis=0,
         )
     if (stop := objective.field_stop) is None:
         return image.astype(np.float32)
@@ -258,18 +259,16 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
     radius = stop * camera.reduced_distance / objective.last_focal_length / camera.pixel_size
     blur = np.broadcast_to(1 - camera.reduced_distance / lens.focal_length, len(lenses.lit)) / camera.pixel_size
     count = min(8, math.ceil(1 + 2 * float(np.abs(blur).max() * camera.lattice.aperture_width)))
-    along = (np.arange(count) + 0.5) / count
+    points = camera.lattice.aperture_grid(count).T
     x, y = ((q - c[lens_number]) / camera.pixel_size for q, c in zip(pixels, lenses.middle.T, strict=True))
     seen = np.zeros(camera.shape)
-    for s, t in itertools.product(along, along):
-        dx, dy = (
-            q - blur[lens_number] * aside for q, aside in zip((x, y), camera.lattice.aperture_point(s, t), strict=True)
-        )
+    for point in points:
+        dx, dy = (q - blur[lens_number] * aside for q, aside in zip((x, y), point, strict=True))
         if objective.field_stop_shape == "square":
             seen += np.prod([(radius + 0.5 - abs(q)).clip(0, 1) for q in (dx, dy)], axis=0)
         else:
             seen += _square_in_disc(dx, dy, radius)
-    return (image * seen / count**2).astype(np.float32)
+    return (image * seen / len(points)).astype(np.float32)
 
 
 def recorded_white(

@@ -1,5 +1,7 @@
 """Microscopes by waves and rays: against the Debye integral, closed forms, and one way of following light the other."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cameras import capture, disk, error, pattern_count, sky
@@ -19,7 +21,7 @@ WAVELENGTH = 550.0
 def camera_with(objective, **numbers):
     usual = {"mla_pitch": 0.15, "mla_focal_length": 3.0, "mla_offset": (0.075, 0.075)}
     usual |= {"detector_width": 1.35, "resolution": (135, 135)}
-    return mp.PlenopticCamera(main_lens=objective, **(usual | numbers))
+    return mp.PlenopticCamera(**({"main_lens": objective} | usual | numbers))
 
 
 def fourier_camera(**numbers):
@@ -135,6 +137,29 @@ def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     row = mp.point_spread_function(camera, (0.0, 0.0, 0.0), wavelength=WAVELENGTH, method="full_field")[149:151].mean(0)
     edge = np.interp(-row.max() / 2, -row[150:], camera.pixel_coordinates(0)[150:])
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {},
+        {"mla_lattice": "hexagonal", "mla_rotation": 8.0, "crop_offset": (250, 200), "crop_size": (300, 360)},
+        {"mla_medium": 1.5, "mla_fill": 0.8},
+        {"mla_focal_length": (20.0, 19.0, 21.5), "mla_lattice": "hexagonal", "mla_aperture": "circle"},
+        {"main_lens": replace(FOURIER, field_stop=0.6)},
+        {"main_lens": replace(FOURIER, field_stop=0.5, field_stop_shape="square")},
+    ],
+)
+def test_points_of_a_depth_share_a_full_field(numbers):
+    """In and out of focus, on and off the axis, also where the field stop cuts their light."""
+    camera, weights = fourier_camera(**numbers), [1.0, 2.0, 0.5, 3.0]
+    points = [(0.0013, 0.0, 0.02), (-0.017, 0.0088, 0.02), (0.011, 0.0184, 0.0), (0.0231, -0.0143, -0.03)]
+    shared = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH)
+    exact = mp.CaptureOperator(camera, points, wavelength=WAVELENGTH, method="full_field").forward(weights)
+    image = shared.forward(weights)
+    assert error(image, exact) < 0.005
+    assert image.sum() == pytest.approx(exact.sum(), rel=0.003)
+    assert shared.adjoint(exact) @ weights == pytest.approx(np.vdot(image, exact), rel=1e-5)
 
 
 def test_rays_of_white_fill_the_micro_images():

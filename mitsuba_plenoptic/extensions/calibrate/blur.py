@@ -134,8 +134,7 @@ class CutBlur:
         self._ratios = self._z / np.array(camera.mla_focal_lengths)
         reach = 1.25 * camera.micro_image_diameter / 2
         e = np.linspace(-reach, reach, _SAMPLES)
-        unit = (np.arange(_POINTS) + 0.5) / _POINTS
-        d = np.stack(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), axis=-1).reshape(-1, 2)
+        d = camera.lattice.aperture_grid(_POINTS).T
         self._step = (e[1] - e[0]) / camera.pixel_size
         # Columns are real parts and rows imaginary ones.
         self._means = np.zeros((len(self._ratios), _SAMPLES, _SAMPLES), complex)

@@ -27,6 +27,7 @@ from ...errors import InputError, content_of, naming, refuse_if
 from ...runtime import progress_bar
 
 if TYPE_CHECKING:
+    from ...camera import PlenopticCamera
     from ...runtime import Array
     from .photon_transfer import PhotonTransfer
 
@@ -216,6 +217,8 @@ def white(
 ) -> None:
     """Fit a camera to a white picture.
 
+    Of a microscope in the Fourier arrangement the lattice, the stop's image and the field stop are fitted.
+
     Parameters
     ----------
     picture : WHITE
@@ -242,6 +245,10 @@ def white(
     for path in filter(None, (output, report)):
         require_apart(require_writable(path), picture, dark)
     nominal, _ = inputs.load_camera(camera, {})
+    if nominal.lens_data.images_stop:
+        refuse_if(report is not None, f"--report = {report}: there is no page of the Fourier arrangement")
+        _stop_image(picture, dark, nominal, output)
+        return
     from . import white_result
     from .photon_transfer import photon_transfer
     from .white_fit import fit_white
@@ -266,6 +273,22 @@ def white(
         with progress_bar("Simulating the white picture"):
             write_white_report(report, fit, lines)
     typer.echo(f"{output}: fitted to {(~fit.withheld).sum()} micro-images")
+
+
+def _stop_image(picture: Path, dark: Path | None, nominal: PlenopticCamera, output: Path) -> None:
+    """Fit a microscope in the Fourier arrangement to a white picture; print and write what is found."""
+    from ...runtime import write_text
+    from .stop_fit import NUMBERS, fit_stop
+    from .white_frames import sensor_pictures
+
+    light, black = sensor_pictures(picture, dark=dark)
+    with naming(picture):
+        fit = fit_stop(light if black is None else light - black, nominal)
+    record = {"deviations": fit.deviations, "residual": fit.residual}
+    write_text(output, json.dumps({**fit.camera.to_dict(), "calibration": record}, indent=1) + "\n", ".json")
+    for name, value in fit.numbers.items():
+        typer.echo(f"{name:>18} {value:12.6g} +- {fit.deviations[name]:.2g} {NUMBERS[name]}".rstrip())
+    typer.echo(f"{output}: the picture differs by {fit.residual:.1%} of its light")
 
 
 def evaluate(corners: Table, *, camera: options.CameraFile, board: str, square: float) -> None:

@@ -7,6 +7,7 @@ from .calibrated_cameras import read_camera, write_calibration
 from .calibration_result import Calibration, Evaluation
 from .detect import detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
+from .stop_fit import StopFit, fit_stop
 from .white_centres import Centres, find_centres, write_centres
 from .white_fit import WhiteFit, fit_white
 
@@ -17,6 +18,7 @@ __all__ = [
     "Centres",
     "Evaluation",
     "LensIndex",
+    "StopFit",
     "Table",
     "WhiteFit",
     "board_scene",
@@ -25,6 +27,7 @@ __all__ = [
     "detect_corners",
     "evaluate",
     "find_centres",
+    "fit_stop",
     "fit_white",
     "read_camera",
     "read_centres",

@@ -182,8 +182,7 @@ class MicroImageModel:
 
 def _ray_pattern(camera: PlenopticCamera, along: Array, down: Array) -> Array:
     """Return orders of the light of a pupil point behind the array by rays: apertures as large as its defocus."""
-    unit = (np.arange(_POINTS) + 0.5) / _POINTS
-    points = np.reshape(camera.lattice.aperture_point(*np.meshgrid(unit, unit)), (2, -1))
+    points = camera.lattice.aperture_grid(_POINTS)
     smear = (
         camera.pupil_shift(camera.mla_focal_lengths[0]) * camera.pixel_size / (camera.pupil_step * camera.image_growth)
     )

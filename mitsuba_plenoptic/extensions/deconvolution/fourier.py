@@ -21,11 +21,9 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...design import objective_of
 from ...detector import SHARP, DetectorOperator
 from ...fields import OpticalSystem
-from ...optics import in_millimetres
-from ...points import FullFieldPlan, radiance_weight
+from ...points import FullFieldPlan, fine_camera, radiance_weight
 from ...runtime import Floats, Job, active_backend, fft
 from .kernels import StoredResponse, require_response_memory
 from .response import Response
@@ -65,7 +63,7 @@ class FourierResponse(StoredResponse):
         self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
-        fine = _fine_camera(camera, wavelength, oversample, deepest)
+        fine = fine_camera(camera, wavelength, deepest, oversample, beyond=1)
 
         def memory(oversample: int) -> float:
             spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
@@ -193,30 +191,6 @@ def response_seconds(camera: PlenopticCamera, distance: float, wavelength: float
     except _KnownError as known:
         return 16e-9 * float(known.args[0])
     return 0.0
-
-
-def _fine_camera(camera: PlenopticCamera, wavelength: float, oversample: int, deepest: float) -> PlenopticCamera:
-    r"""Return a camera that records all light of a middle bin, with pixels that resolve the light.
-
-    The intensity behind a lens of the width w has no lines finer than :math:`w / \lambda z`.
-    """
-    p = camera.pixel_size
-    z = camera.reduced_distance
-    lens = objective_of(camera)
-    finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
-    per_bin = max(1, math.ceil(p / oversample / finest))
-    moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
-    # Light of the outermost lenses goes 2 lens pitches beyond the image of the stop.
-    lit = math.ceil((lens.blur_diameter(0) + 4 * max(camera.mla_pitches) + 2 * moved) / p)
-    # As many pixels more on one side as on the other.
-    window = [
-        min(size + 2 * bins, lit + (lit - size) % 2)
-        for size, bins in zip(camera.resolution, camera.bin_count, strict=True)
-    ]
-    columns, rows = (per_bin * oversample * size for size in window)
-    return camera.replace(
-        resolution=(columns, rows), detector_width=window[0] * p, crop_offset=(0, 0), crop_size=(columns, rows)
-    )
 
 
 def _over_bins(spread: Floats, width: int) -> Floats:

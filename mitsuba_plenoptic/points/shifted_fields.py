@@ -1,0 +1,350 @@
+r"""Point spreads in the Fourier arrangement: one full field for each depth, at the places of all points there.
+
+The array stands in the image of the stop. There a point (X, Y, d) has the field of the point (0, 0, d) times a plane
+wave of the direction cosines :math:`M X / f_F`. All lenses together are one thin screen there, and free space behind it
+propagates a tilted wave to the same intensity, shifted by :math:`z M X / f_F` (Goodman, "Introduction to Fourier
+Optics", section 4.2; exact for small directions, as behind an objective). So all points of a depth have the same point
+spread, and their image is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier light-field microscopy", Optics Express
+27, 25573).
+
+The spread is divided into the spots behind single lenses, so that the field stop can end the micro-image of each. Spots
+are sampled twice as finely as their lines need, and cubic splines move them to the points: errors of about 0.1 %.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+from scipy.fft import irfft2, rfft2
+from scipy.interpolate import BSpline
+from scipy.ndimage import spline_filter
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from ..camera import PlenopticCamera
+from ..design import lens_directions, objective_of
+from ..errors import refuse_if
+from ..fields import OpticalSystem
+from ..lenses import FourierLens
+from ..optics import in_millimetres, soft_edge
+from ..runtime import BatchMap, Box, Doubles, Floats, Integers, Job, Part, PartialSum, check_memory
+from .full_fields import full_field, recorded_pixels
+from .pupil_weights import PupilWeights
+
+_TAIL = 1e-3
+"""Part of the light that may fall beyond spots."""
+
+_KEPT = 2**31
+"""Bytes of spots that a plan keeps for further sums."""
+
+_SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
+
+
+class ShiftedPlan:
+    """Captures of points by shifted full fields, with the parameters of `PatchPlan`."""
+
+    def __init__(
+        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
+    ) -> None:
+        camera, lens = system.camera, objective_of(system.camera)
+        refuse_if(pupil_weights is not None, "pupil_weights: spreads of method patch are shared there; use full_field")
+        z = camera.reduced_distance
+        blur = float(camera.lattice.aperture_reach) * max(abs(1 - z / f2) for f2 in camera.reduced_focal_lengths)
+        refuse_if(
+            lens.field_stop is not None and blur > camera.pixel_size,
+            f"detector_distance = {camera.detector_distance:g}: the field stop's edge is {blur:.2g} mm out of focus on "
+            "the detector, where method patch takes a pixel; use full_field",
+        )
+        self._system, self._points = system, points
+        self._depths, self._depth_of = np.unique(points[:, 2], return_inverse=True)
+        self._fine = fine_camera(
+            camera.replace(main_lens=replace(lens, field_stop=None)),
+            system.wavelength,
+            float(np.abs(self._depths).max(initial=0)),
+            samples=2,
+        )
+        self._spots: dict[int, Spots] = {}
+
+    @property
+    def box(self) -> Box:
+        """Box of the recorded pixels."""
+        return recorded_pixels(self._system.camera)
+
+    def sum(self, weights: Doubles) -> ShiftedSum:
+        """Return the sum, not yet computed, of the point spreads with given weights, (n, channels)."""
+        return ShiftedSum(self, weights)
+
+    def gather(self, image: Floats, job: Job, done: int, total: int) -> Doubles:
+        """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
+        channels = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
+        result = np.zeros((len(self._points), len(channels)))
+        depths = range(len(self._depths))
+        members = [self.members(depth) for depth in depths]
+        batches = (_Layer(self, depth, some, channels, True) for depth, some in zip(depths, members, strict=True))
+        for some, products in zip(members, job.each(batches, [*map(len, members)], done, total), strict=True):
+            result[some] = products
+        return result
+
+    def members(self, depth: int) -> Integers:
+        """Return the numbers of the points of a depth."""
+        return np.flatnonzero(self._depth_of == depth)
+
+    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
+        """Refuse images too large for the memory. The memory of fields is checked depth by depth."""
+        rows, columns = self._system.camera.shape
+        check_memory(8.0 * channels * rows * columns, f"image of {columns} x {rows} pixels")
+
+    def layer(self, depth: int, members: Integers) -> ShiftedLayer:
+        """Return the convolution of some points of a depth, whose spots are computed on first use."""
+        spots = self._spots.get(depth)
+        if spots is None:
+            spots = Spots.of(self._system, self._fine, float(self._depths[depth]))
+            if sum(kept.values.nbytes for kept in self._spots.values()) < _KEPT:
+                self._spots[depth] = spots
+        return ShiftedLayer(self._system, spots, self._points[members, :2])
+
+
+class ShiftedSum:
+    """A sum of shifted full fields, depth by depth, with the interface of `runtime.batches.LongSum`."""
+
+    def __init__(self, plan: ShiftedPlan, weights: Doubles) -> None:
+        self._plan, self._weights = plan, weights
+        lit = (plan.members(depth) for depth in range(len(plan._depths)))
+        members = [some[weights[some].any(1)] for some in lit]
+        self._lit = [(depth, some) for depth, some in enumerate(members) if len(some)]
+        self.arrays: Any = np
+        self.box = plan.box
+        self.channels = weights.shape[1]
+        self.items = np.array([len(some) for _, some in self._lit], np.int64)
+
+    def batches(self, first: int) -> Iterator[_Layer]:
+        """Yield one batch for each depth."""
+        return (_Layer(self._plan, depth, some, self._weights[some], False) for depth, some in self._lit[first:])
+
+    def image(self, total: PartialSum) -> Floats:
+        """Return the total with its channels in the last axis."""
+        return np.ascontiguousarray(total.sums.transpose(1, 2, 0))
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """The points of one depth, as a batch: the image of their weights, or their products with an image."""
+
+    plan: ShiftedPlan
+    depth: int
+    members: Integers
+    values: Any
+    is_adjoint: bool
+
+    @property
+    def samples(self) -> int:
+        """Number of recorded pixels."""
+        return self.plan.box.columns * self.plan.box.rows
+
+    def prepare(self) -> Callable[[], Any]:
+        """Return a function that convolves; full fields are computed here."""
+        layer = self.plan.layer(self.depth, self.members)
+        if self.is_adjoint:
+            return lambda: layer.adjoint(self.values)
+        return lambda: Part(self.plan.box, layer.forward(self.values))
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """The light of a point on the axis behind each lens of the stop's image, in parts of pixels."""
+
+    # Parts across a pixel.
+    parts: int
+    # First column and row (lenses, 2) of each spot, in pixels of the detector.
+    corner: Integers
+    # Coefficients (lenses, rows, columns) of cubic splines through the light of parts.
+    values: Floats
+    # Place (lenses, 2) in mm in the native image plane where a lens's light passes, and the width of this light.
+    passage: Doubles
+    width: Doubles
+
+    @classmethod
+    def of(cls, system: OpticalSystem, fine: PlenopticCamera, depth: float) -> Spots:
+        """Return the spots of a depth."""
+        camera, lens = system.camera, objective_of(system.camera)
+        bound = OpticalSystem(fine.at_wavelength(system.wavelength), system.wavelength)
+        spread = full_field(bound, np.array([0.0, 0.0, depth]))
+        directions = lens_directions(camera)
+        passage = -lens.magnification * depth * directions.slope
+        place = directions.middle + camera.reduced_distance / lens.last_focal_length * passage
+        parts = round(camera.pixel_size / fine.pixel_size)
+        columns, rows = (size // parts for size in fine.resolution)
+        place = place / camera.pixel_size + np.array([columns, rows]) / 2
+        # Light belongs to the nearest spot, pixel by pixel.
+        x, y = np.meshgrid(np.arange(columns) + 0.5, np.arange(rows) + 0.5)
+        _, nearest = cKDTree(place).query(np.stack([x, y], -1))
+        pixel = np.floor(place).astype(np.int64)
+        aside = np.abs(np.stack([x, y], -1).astype(np.int64) - pixel[nearest]).max(-1)
+        light = np.cumsum(np.bincount(aside.ravel(), spread.reshape(rows, parts, columns, parts).sum((1, 3)).ravel()))
+        half = int(np.searchsorted(light, (1 - _TAIL) * light[-1]))
+        spread, nearest = np.pad(spread, half * parts), np.pad(nearest, half, constant_values=-1)
+        size = 2 * half + 1
+        values = np.empty((len(place), size * parts, size * parts), np.float32)
+        for number, (left, top) in enumerate(pixel):
+            own = nearest[top : top + size, left : left + size] == number
+            spot = spread[top * parts : (top + size) * parts, left * parts : (left + size) * parts]
+            values[number] = spline_filter(spot * own.repeat(parts, 0).repeat(parts, 1), mode="grid-constant")
+        margin = (np.array([columns, rows]) - camera.resolution) // 2
+        # The derivative of tan(theta) by the position on the array.
+        steepness = (1 + (directions.slope**2).sum(1)) ** 1.5 / (lens.immersion * lens.last_focal_length)
+        width = abs(depth) * lens.magnification**2 * camera.lattice.aperture_width * steepness
+        return cls(parts, pixel - half - margin, values, passage, width)
+
+
+class ShiftedLayer:
+    """The linear function from weights of points of one depth to the image of their shifted spots.
+
+    The field stop cuts light before lenses spread it. Spots of points whose light through a lens passes or misses it
+    wholly are retained or left out whole; where the field stop cuts that light, it ends the spot on the detector.
+    """
+
+    def __init__(self, system: OpticalSystem, spots: Spots, positions: Doubles) -> None:
+        camera, lens = system.camera, objective_of(system.camera)
+        self._camera, self._spots, self._lens = camera, spots, cast(FourierLens, system.lens)
+        # Millimetres in the native image plane for a pixel.
+        self._native = camera.pixel_size * lens.last_focal_length / camera.reduced_distance
+        box, size = recorded_pixels(camera), spots.values.shape[1] // spots.parts
+        self._centres = np.stack(camera.lattice.centre(*lens_directions(camera).index.T), -1)
+        # Points beyond send no light to recorded pixels.
+        stop = self._lens.window.radius + spots.width.max() + np.abs(spots.passage).max()
+        low = np.maximum((np.array([box.left, box.top]) - spots.corner - size).min(0), -stop / self._native)
+        high = np.minimum(
+            (np.array([box.left + box.columns, box.top + box.rows]) - spots.corner).max(0), stop / self._native
+        )
+        shift = positions * (lens.magnification / self._native)
+        # Light of the slope s travels z s / sqrt(1 - s^2) across: to third order, for the mean slope a in a lens.
+        slope = positions * (lens.magnification / lens.last_focal_length / camera.mla_medium)
+        outer = np.square(camera.lattice.aperture_grid(32)).sum(0).mean()
+        bent = outer / min(camera.mla_focal_lengths) ** 2
+        shift = shift * (1 + (slope**2).sum(1, keepdims=True) / 2 + bent)
+        near = ((shift > low) & (shift < high)).all(1)
+        shift = np.clip(shift, low, high)
+        # Pixels of a grid of shifts that holds those of all points, and of the convolution with spots.
+        self._origin = np.floor(shift.min(0)).astype(np.int64) - 2
+        self._grid = np.ceil(shift.max(0)).astype(np.int64) + 3 - self._origin
+        self._shape = tuple(((self._grid + size) * spots.parts)[::-1].tolist())
+        columns, rows = (self._grid * spots.parts).tolist()
+        place = (shift - self._origin) * spots.parts
+        nodes = np.floor(place).astype(np.int64)[:, :, None] + np.arange(-1, 3)
+        factors = _SPLINE(nodes - place[:, :, None]) * near[:, None, None]
+        index = nodes[:, 1, :, None] * columns + nodes[:, 0, None, :]
+        values = factors[:, 1, :, None] * factors[:, 0, None, :]
+        starts = np.arange(0, index.size + 1, 16)
+        self._points = csr_array((values.ravel(), index.ravel(), starts), (len(shift), rows * columns))
+
+    def forward(self, weights: Doubles) -> Floats:
+        """Return the image (channels, rows, columns) of weights (points, channels)."""
+        columns, rows = self._grid * self._spots.parts
+        shifts = (self._points.T @ weights).T.reshape(-1, rows, columns).astype(np.float32)
+        box = recorded_pixels(self._camera)
+        image = np.zeros((len(shifts), box.rows, box.columns), np.float32)
+        for number, values in enumerate(self._spots.values):
+            window, inner = self._windows(number)
+            spot = rfft2(values, self._shape)
+            for passed, seen in self._passages(number):
+                light = irfft2(rfft2(shifts * passed, self._shape) * spot, self._shape)
+                image[:, *window] += (seen * self._over_pixels(light))[:, *inner]
+        return image
+
+    def adjoint(self, image: Floats) -> Doubles:
+        """Return the products (points, channels) of the points' spots with an image (channels, rows, columns)."""
+        parts = self._spots.parts
+        columns, rows = self._grid * parts
+        shifts = np.zeros((len(image), rows, columns), np.float32)
+        light = np.zeros((len(image), *(length // parts for length in self._shape)), np.float32)
+        for number, values in enumerate(self._spots.values):
+            window, inner = self._windows(number)
+            spot = rfft2(values, self._shape).conj()
+            for passed, seen in self._passages(number):
+                light[:] = 0
+                light[:, *inner] = image[:, *window]
+                fine = (seen * light).repeat(parts, 1).repeat(parts, 2)
+                shifts += passed * irfft2(rfft2(fine) * spot, self._shape)[:, :rows, :columns]
+        return np.asarray(self._points @ shifts.reshape(len(image), -1).T, np.float64)
+
+    def _over_pixels(self, light: Floats) -> Floats:
+        """Return sums over the parts of pixels."""
+        parts = self._spots.parts
+        channels, rows, columns = light.shape
+        return np.asarray(light.reshape(channels, rows // parts, parts, columns // parts, parts).sum((2, 4)))
+
+    def _windows(self, number: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+        """Return the recorded pixels that a lens's convolution covers, in the image and in the convolution."""
+        box, rows, columns = recorded_pixels(self._camera), *(length // self._spots.parts for length in self._shape)
+        left, top = (self._origin + self._spots.corner[number] - (box.left, box.top)).tolist()
+        (y, Y), (x, X) = (
+            (min(max(start, 0), size), max(min(start + count, size), 0))
+            for start, count, size in ((top, rows, box.rows), (left, columns, box.columns))
+        )
+        return (slice(y, Y), slice(x, X)), (slice(y - top, Y - top), slice(x - left, X - left))
+
+    def _passages(self, number: int) -> Iterator[tuple[Any, Any]]:
+        """Yield factors on shifts and on pixels: of light that passes the field stop wholly, and that it cuts."""
+        lens, spots, camera = self._lens, self._spots, self._camera
+        if lens.objective.field_stop is None:
+            yield np.float32(1), np.float32(1)
+            return
+        part = self._native / spots.parts
+        columns, rows = self._grid * spots.parts
+        x, y = (
+            (np.arange(count) / spots.parts + origin) * self._native + passage
+            for count, origin, passage in zip((columns, rows), self._origin, spots.passage[number], strict=True)
+        )
+        inset = lens.field_inset(x, y[:, None]) / part
+        half = spots.width[number] / part / 2
+        # Light narrower than a line is cut by its middle.
+        whole = soft_edge(inset - half) if half > 1 else soft_edge(inset)
+        if whole.any():
+            yield whole.astype(np.float32), np.float32(1)
+        cut = soft_edge(inset + half) - whole
+        if half > 1 and cut.any():
+            corner = self._origin + spots.corner[number]
+            x, y = (
+                (np.arange(count // spots.parts) + 0.5 + start - size / 2 - c / camera.pixel_size) * self._native
+                for count, start, size, c in zip(
+                    self._shape[::-1], corner, camera.resolution, self._centres[number], strict=True
+                )
+            )
+            seen = soft_edge(lens.field_inset(x, y[:, None]) / self._native)
+            yield cut.astype(np.float32), seen.astype(np.float32)
+
+
+def fine_camera(
+    camera: PlenopticCamera,
+    wavelength: float,
+    deepest: float,
+    bins: int = 1,
+    samples: int = 1,
+    beyond: float = math.inf,
+) -> PlenopticCamera:
+    r"""Return a camera that records the light of points on the axis, with parts of pixels that resolve the light.
+
+    The intensity behind a lens of the width w has no lines finer than :math:`\lambda z / 2 w`. A part is at most a line
+    over `samples`, and a pixel has a multiple of `bins` of them. `deepest` is the largest depth of the points in
+    millimetres, and `beyond` the micro-images recorded beyond the detector's borders.
+    """
+    p, lens = camera.pixel_size, objective_of(camera)
+    z = camera.reduced_distance
+    finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
+    parts = bins * max(1, math.ceil(samples * p / bins / finest))
+    moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
+    # Light of the outermost lenses goes 2 lens pitches beyond the image of the stop.
+    lit = math.ceil((lens.blur_diameter(0) + 4 * max(camera.mla_pitches) + 2 * moved) / p)
+    # As many pixels more on one side as on the other.
+    window = [
+        int(min(size + 2 * beyond * count, lit + (lit - size) % 2))
+        for size, count in zip(camera.resolution, camera.bin_count, strict=True)
+    ]
+    columns, rows = (parts * size for size in window)
+    return camera.replace(
+        resolution=(columns, rows), detector_width=window[0] * p, crop_offset=(0, 0), crop_size=(columns, rows)
+    )
