@@ -33,9 +33,6 @@ _CELLS = 512
 _POINTS = 4
 """Cells across a polygon where cells are asked for, and points across a cell."""
 
-_LARGEST = 512
-"""Most rows and columns of a picture."""
-
 
 _STEPS = 1024
 """Steps of the square of the radius in which the transmission of an apodised pupil is integrated."""
@@ -159,7 +156,8 @@ class Aperture(_Outlined, PlainData):
     def __post_init__(self) -> None:
         name = "transmission"
         # Digits to which values of a picture are kept, as files hold them.
-        values = read_table(name, self.transmission, largest=_LARGEST, most=1, decimals=4)
+        # Most rows and columns of a picture.
+        values = read_table(name, self.transmission, largest=512, most=1, decimals=4)
         rows, columns = values.shape
         refuse_if(rows != columns, f"{name} of shape {values.shape}: it must be square")
         refuse_if(not values.any(), f"{name}: it is 0 everywhere, so that no light passes")

@@ -35,12 +35,10 @@ _RECORDED = (
     | Use.WHITE_IMAGES
 )
 
-_ARRAY = Condition("behind an array", lambda camera: camera.has_array)
 _NO_ARRAY = Condition("without an array", lambda camera: not camera.has_array)
-_GAPS = Condition("with gaps between lenses", lambda camera: not camera.lattice.fills)
 _TWO_PITCHES = Condition("of two", lambda camera: camera.mla_pitches[0] != camera.mla_pitches[1])
+_GAPS = Condition("with gaps between lenses", lambda camera: not camera.lattice.fills)
 _PRESCRIPTION = Condition("behind a prescription", lambda camera: camera.lens_data.traced_surfaces)
-_OBJECTIVE = Condition("behind an objective", lambda camera: camera.objective is not None)
 _COLLIMATOR = Condition("behind a collimator", lambda camera: camera.has_array and not camera.refocuses)
 _NOT_THIN = Condition("behind other than thin lenses", lambda camera: not camera.lens_data.is_thin)
 _STOP_IMAGE = Condition("with the array in the image of the stop", lambda camera: camera.lens_data.images_stop)
@@ -95,7 +93,7 @@ _NOT_ROUND = (
         _SCENES,
         "the pupil's table holds one quarter of one round pupil for all lenses",
         "ray captures or CaptureOperator",
-        _ARRAY,
+        Condition("behind an array", lambda camera: camera.has_array),
     ),
     *_UNEVEN,
 )
@@ -127,9 +125,6 @@ _NO_DERIVATIVE = refused(
 _MORE_TERMS = approximate(
     _GEOMETRY,
     "rays go back through an ideal main lens and the centres of microlenses; depth maps correct for aberrations",
-)
-_ALONE_BY_RAYS = refused(
-    _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"
 )
 _STAYS = "it stays in the image, whose brightness is corrected"
 _MIXES = (
@@ -309,7 +304,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "patches treat the array as periodic",
             "CaptureOperator with method full_field",
         ),
-        _ALONE_BY_RAYS,
+        refused(
+            _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"
+        ),
         approximate(_GEOMETRY, "lenses count as perfect"),
     ),
     "mla_seed": (),
@@ -374,7 +371,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.SCENE_POINTS | Use.POINT_DERIVATIVES | Use.SMALL_LENSES | Use.FITS | Use.SPREAD_BANKS,
             "points before an objective lie about its native plane, and the computation is of distances from a lens",
             "",
-            _OBJECTIVE,
+            Condition("behind an objective", lambda camera: camera.objective is not None),
         ),
         refused(
             Use.FITS | Use.SPREAD_BANKS | Use.LENS_CENTRES | Use.CALIBRATION,

@@ -62,8 +62,6 @@ class Checkpoint:
 
     Parameters
     ----------
-    path : path
-        The file.
     existing : {"refuse", "resume", "resume_if_same"}
         What to do with an existing file: refuse to replace it; resume from it, or refuse a file of another run; or
         resume from it, or replace a file of another run.

@@ -30,9 +30,6 @@ KEY = "mitsuba_plenoptic"
 # Bytes of a sample while it is read: as a number, in double and in single precision.
 _SAMPLE_BYTES = 16
 
-_COLOURS = {PHOTOMETRIC.MINISWHITE: 1, PHOTOMETRIC.MINISBLACK: 1, PHOTOMETRIC.RGB: 3, PHOTOMETRIC.PALETTE: 1}
-"""Samples of a pixel's colour in TIFF files, by the meanings of samples that are read."""
-
 
 class StoredPicture(NamedTuple):
     """The numbers in a file, (rows, columns[, 3]), and what it says of them."""
@@ -119,7 +116,9 @@ def read_tiff(path: Path) -> StoredPicture:
         page = pages[0]
         kind = page.dtype
         meaning = page.photometric
-        colours = _COLOURS.get(page.photometric, 0)
+        # Samples of a pixel's colour; 0 for meanings that are not read.
+        of_one = (PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.PALETTE)
+        colours = 3 if meaning == PHOTOMETRIC.RGB else int(meaning in of_one)
         count = page.imagedepth * max(len(pages), file.series[0].size // max(page.size, 1))
         floats = str(kind).startswith("float")
         turned = page.tags.valueof("Orientation", default=1)

@@ -22,8 +22,6 @@ def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that of the line d.
     """

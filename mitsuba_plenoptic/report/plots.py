@@ -104,8 +104,6 @@ class Plot(Figure):
 
         Parameters
         ----------
-        path : path
-            File to write.
         dpi : float, optional
             Dots per inch of a PNG. Default: those of the figure, 300 for papers.
         """

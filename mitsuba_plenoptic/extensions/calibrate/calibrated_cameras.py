@@ -29,8 +29,6 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
     Parameters
     ----------
-    path : path
-        File to write.
     calibration : Calibration
         The calibration to write.
     board : Board

@@ -174,8 +174,6 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
     Parameters
     ----------
-    path : path
-        The file.
     board : Board
         The board that was seen.
     size : (int, int)
@@ -197,13 +195,7 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
 
 def read_centres(path: str | Path) -> Table:
-    """Return centres of micro-images, read from a CSV table or a JSON file of LFToolbox or PlenoptiCam.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
+    """Return centres of micro-images, read from a CSV table or a JSON file of LFToolbox or PlenoptiCam."""
     path = Path(path)
     if path.suffix.lower() == ".json":
         return _checked(path, read_foreign_centres(path), header=0)

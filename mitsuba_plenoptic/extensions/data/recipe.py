@@ -178,13 +178,7 @@ class Recipe:
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
+    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder."""
     path = Path(path)
     content = read_yaml(path)
     refuse_if(

@@ -74,18 +74,8 @@ def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     )
 
 
-_BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
-"""Standard deviations of the Gaussians that blur captures, in microlenses, one after the other."""
-
-_SHARPEST = 1.0
-"""Least of them, in pixels."""
-
-
 _MOST_STEPS = 15
-"""Cameras that are tried with each."""
-
-_AT_BOUND = 1e-3
-"""A parameter is at a bound if it is nearer than this part of what lies between its bounds."""
+"""Cameras that are tried with each blur."""
 
 
 def coarse_fit(
@@ -128,7 +118,8 @@ def coarse_fit(
     check_numbers(vector)
     low, high = vector.limits(bounds)
     models = RayModels(camera, observations, require_wavelength(wavelength))
-    blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
+    # Standard deviations of the Gaussians that blur captures, one after the other: in microlenses, at least a pixel.
+    blurs = np.unique(np.maximum(np.array((2.0, 1.0, 0.5, 0.25, 0.125)) * camera.pixels_per_lens, 1.0))[::-1].tolist()
     fitted = camera
     tried = 0
     first = 0
@@ -157,7 +148,8 @@ def coarse_fit(
             tried_in_all = np.array([stage * _MOST_STEPS], np.float64)
             checkpoint.save_arrays(partial(dict, numbers=vector.of(fitted).values, tried=tried_in_all))
     x = vector.of(fitted).values
-    stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
+    # A parameter is at a bound if it is nearer than this part of what lies between its bounds.
+    stuck = np.minimum(x - low, high - x) <= 1e-3 * (high - low)
     if stuck.any():
         named = ", ".join(f"{vector.labels[index]} = {x[index]:.6g}" for index in np.flatnonzero(stuck))
         warn(f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters")

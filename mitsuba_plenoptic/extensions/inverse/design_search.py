@@ -14,9 +14,6 @@ from ...runtime import Doubles
 from .merit import Gradient
 from .point_rays import vector_of
 
-_TOLERANCE = 1e-6
-"""Relative change of the figure that ends a search."""
-
 
 class Figure(Protocol):
     """A figure of merit of a camera, which a search maximises."""
@@ -110,7 +107,8 @@ def maximise(
             progress(tried, value, best[1])
         return -value, -vector.slopes(slopes) * (high - low)
 
-    options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
+    # Relative change of the figure that ends a search.
+    options = {"maxiter": require_count("steps", steps), "ftol": 1e-6}
     result = minimize(
         cost,
         (vector.values - low) / (high - low),

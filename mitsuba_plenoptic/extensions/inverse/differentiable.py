@@ -426,8 +426,6 @@ class DeconvolvedRefocus:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float, optional

@@ -36,9 +36,6 @@ from .nonuniform import PlaneWaves
 _FADED = 0.3
 """Width of the edge over which the sphere is faded out, over the half width of the part of it that is needed."""
 
-_FARTHEST = 1e20
-"""Largest distance of the middle of a layer or of its images, in millimetres."""
-
 
 class PupilGrid:
     """The square part of a wide grid, `count` x `count` samples, that contains the pupil."""
@@ -236,7 +233,8 @@ def _images(lens: ThinLens, points: Doubles) -> tuple[float, Doubles]:
 
 def _finite_inverse(nearness: float) -> float:
     """Return the reciprocal of a mean inverse distance, finite also where points on opposite sides make it zero."""
-    return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
+    # At most 1e20 mm, the largest distance of the middle of a layer or of its images.
+    return 1 / math.copysign(max(abs(nearness), 1e-20), nearness)
 
 
 def _reach(images: Doubles, grid: PupilGrid) -> float:

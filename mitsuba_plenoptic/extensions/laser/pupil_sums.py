@@ -35,9 +35,6 @@ from .carriers import Carrier, PupilGrid, Spheres, Tilts
 _TOLERANCE = 5e-6
 """Error of the separated field, relative to its modulus: about that of single precision."""
 
-_NODES = range(6, 49, 2)
-"""Numbers of Chebyshev nodes across the pupil that are tried, one after another."""
-
 _TRIED = 64
 """Points of a layer for which the interpolation is tried, and positions on the pupil."""
 
@@ -56,15 +53,8 @@ _TOGETHER = 2**22
 _MISSED = 5e-5
 """Error of a single point's separated field beyond which products are added for it."""
 
-_ADDED = 256
-"""Largest number of such points from which products are found together."""
-
-_WIDEST = 4.0
-"""Largest width of the window in which spheres are summed, over that of the pupil."""
-
-_RINGS = 8
 _SPOKES = 24
-"""Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
+"""Positions on a ring of the pupil at which the power of a point's light is summed."""
 
 
 class Layer:
@@ -159,7 +149,8 @@ class Layer:
         y = radius * np.sin(angle)
         exact = self._remainder(x * self._lens.pupil.radius, y * self._lens.pupil.radius, points, some)
         scale = self._lens.pupil.radius / self._half
-        for count in _NODES:
+        # Numbers of Chebyshev nodes across the pupil that are tried, one after another.
+        for count in range(6, 49, 2):
             nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
             at = [mesh.ravel() * self._half for mesh in np.meshgrid(nodes, nodes)]
             factors = self._remainder(at[0], at[1], points, some)
@@ -185,7 +176,8 @@ class Layer:
 
 def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spheres | Tilts]:
     """Return the kind of carrier waves that leaves the smallest remainder: spheres behind an ideal lens, else tilts."""
-    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
+    # Largest width of the window in which spheres are summed, over that of the pupil.
+    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= 4.0 * grid.count
     return Spheres if spheres else Tilts
 
 
@@ -202,7 +194,8 @@ def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[Integ
 
 def passed_power(lens: ThinLens, points: Doubles) -> Doubles:
     """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
-    nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
+    # 8 rings: exact for polynomials of degree 15.
+    nodes, weights = np.polynomial.legendre.leggauss(8)
     radius = lens.pupil.radius * np.sqrt((nodes + 1) / 2)
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
@@ -222,7 +215,8 @@ def _completed(
     while True:
         coefficients = basis.conj().T @ factors
         error = 1 - _squares(coefficients) / power
-        worst = np.argsort(error)[-_ADDED:]
+        # 256: Points that miss at most from which products are found together.
+        worst = np.argsort(error)[-256:]
         worst = worst[error[worst] > _MISSED**2]
         if not len(worst):
             return basis, coefficients

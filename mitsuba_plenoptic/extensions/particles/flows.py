@@ -27,8 +27,6 @@ _AXIS = partial(require_choice, choices=_AXES)
 _SPEED = partial(require_number, minimum=-1e9, maximum=1e9)
 """Rules of an axis, and of a velocity or what it is proportional to."""
 
-_SPEED_UNITS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
-
 
 class Flow:
     """A steady flow."""
@@ -248,7 +246,8 @@ class ImportedFlow(Flow):
             not isinstance(data, xr.Dataset) or not {*"uvwxyz"} <= {*data.variables},
             f"{name}: it must be a data set with u, v and w on x, y and z",
         )
-        require_units(name, data, dict.fromkeys("uvw", _SPEED_UNITS) | dict.fromkeys(_AXES, MILLIMETRES))
+        speed = ("mm/s", "mm s-1", "mm s^-1", "mm.s-1")
+        require_units(name, data, dict.fromkeys("uvw", speed) | dict.fromkeys(_AXES, MILLIMETRES))
         with refusing(f"{name}: u, v and w must be on axes x, y and z that rise, and on no other:", ValueError):
             values = np.stack([as_array(part, data[part].transpose(*_AXES), _AXES) for part in "uvw"], -1)
             flow = RegularGridInterpolator([as_array(axis, data[axis]) for axis in _AXES], values)

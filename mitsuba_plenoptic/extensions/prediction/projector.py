@@ -18,9 +18,6 @@ from ...runtime import Array, require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane
 
-_DIM = 0.02
-"""Light that is added to both white pictures before they are divided, over that of bright pixels."""
-
 
 class SceneProjection(LinearMap):
     """Linear map from elements (rows, columns, elements of a bin) to a part's pixels: direct light, and glow.
@@ -49,7 +46,8 @@ class SceneProjection(LinearMap):
         # Interpolation at sharp borders goes below 0.
         even = np.maximum(self.direct(np.ones(self.source_shape, np.float32)), 0)
         white = np.maximum(part.white, 0) * (even.mean() / part.white.mean())
-        dim = _DIM * np.quantile(even, 0.99)
+        # Light that is added to both white pictures before they are divided, over that of bright pixels.
+        dim = 0.02 * np.quantile(even, 0.99)
         self._weight = ((white + dim) / (even + dim)).astype(np.float32)
 
     def _made_kernels(self) -> dict[tuple[int, float], Array]:

@@ -33,24 +33,10 @@ SEEDS = 3
 ITERATIONS = 30
 """Steps of each fit."""
 
-
-_LIT = 5.0
-_BRIGHT = 0.999
-"""Light over noise in the dark that a quantile of a light field must reach."""
-
 _SEARCHED = (0.25, 1.25)
 _SEARCH_STEPS = 10
 _MOST_PLANES = 3
-_EXPLAINED = 0.03
-"""Planes that a search tries, as `distances_of` takes them; steps with each; planes at most; and the part of the misfit
-that a plane must explain beyond those before it."""
-
-_OF_CAMERA = 1e-5
-_OF_POINTS = 0.04
-_OF_PIXEL = 1e-7
-_OF_PRODUCT = 8e-11
-"""Seconds of one machine, for the ratio of stages' work: per pixel of a white picture; per point of a plane; per pixel
-and step of a run, and per product of a pixel with an element in it."""
+"""Planes that a search tries, as `distances_of` takes them; steps with each; and planes at most."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +54,9 @@ class Pictures:
     def __post_init__(self) -> None:
         good = WhiteFrame.of(self.white, self.dark).good
         noise = self.noise.dark_variance**0.5
-        bright = float(np.quantile(self.electrons, _BRIGHT))
+        bright = float(np.quantile(self.electrons, 0.999))
         refuse_if(
-            bright < _LIT * noise,
+            bright < 5.0 * noise,
             f"light field: bright pixels hold {bright:.3g} electrons, at a noise of {noise:.3g}: it has no light",
         )
         dead, hot = stuck(self.electrons.reshape(good.shape), noise)
@@ -261,7 +247,8 @@ class Study:
             while len(chosen) < _MOST_PLANES:
                 totals = np.minimum(left, misfits).sum(1)
                 best = int(totals.argmin())
-                if totals[best] > (1 - _EXPLAINED) * left.sum():
+                # 0.03: Part of the misfit that a plane must explain beyond those before it.
+                if totals[best] > (1 - 0.03) * left.sum():
                     break
                 left = np.minimum(left, misfits[best])
                 chosen.append(tried[best])
@@ -359,13 +346,15 @@ class Study:
         def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
             blurs = [self.camera.blur_diameter(plane) / self.camera.row_pitch for plane in planes]
             products = sum(16 * (blur + 2) ** 2 for blur in blurs)
-            return 64 * _OF_POINTS * len(blurs), steps * self._size * (_OF_PIXEL + _OF_PRODUCT * products)
+            # Seconds of one machine, for the ratio of stages' work: per point of a plane; per pixel and step of a run,
+            # and per product of a pixel with an element in it; below, per pixel of a white picture.
+            return 64 * 0.04 * len(blurs), steps * self._size * (1e-7 + 8e-11 * products)
 
         tried = [] if self._planes else distances_of(self.camera, *_SEARCHED)
         search = [sum(map(sum, (run([plane], _SEARCH_STEPS) for plane in tried)))] if tried else []
         points, runs = run(self._planes or [self.camera.focus_distance] * _MOST_PLANES)
         of_light = [points + runs, *[runs] * (len(STRENGTHS) * SEEDS)]
-        camera = _OF_CAMERA * self.pictures.white.size
+        camera = 1e-5 * self.pictures.white.size
         return [camera, camera, *search, *of_light, *of_light, runs, runs, points + runs, runs]
 
     def fit_cameras(self) -> None:
