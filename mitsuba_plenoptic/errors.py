@@ -214,9 +214,7 @@ _PLAIN = {"int", "float", "bool", "str", "tuple", "list", "dict", "Sequence", "M
 
 
 def suggest_keywords(
-    function: _Call,
-    others: Iterable[str] = (),
-    absent: Callable[[str], str] = lambda name: "",
+    function: _Call, others: Iterable[str] = (), absent: Callable[[str], str] = lambda name: ""
 ) -> _Call:
     """Return a function that answers an unknown keyword with the most similar known one.
 
@@ -476,13 +474,7 @@ def require_warp(name: str, value: Any) -> tuple[float, ...]:
 
 
 def require_pairs(
-    name: str,
-    value: Any,
-    *,
-    meaning: str,
-    rising: str,
-    most: tuple[float, float],
-    start: float | None = None,
+    name: str, value: Any, *, meaning: str, rising: str, most: tuple[float, float], start: float | None = None
 ) -> tuple[float, ...]:
     """Return two or more pairs of nonnegative numbers, the first ones rising from 0, as one tuple; it may be empty.
 

@@ -17,16 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..array import read_table
-from ..errors import (
-    FULL_TURN,
-    InputError,
-    put,
-    refuse_if,
-    require_count,
-    require_number,
-    short_repr,
-    suggest_keywords,
-)
+from ..errors import FULL_TURN, InputError, put, refuse_if, require_count, require_number, short_repr, suggest_keywords
 from ..runtime import Doubles, Pair, PlainData, known_record, module_of, select, take
 
 _CELLS = 512
@@ -164,8 +155,7 @@ class Aperture(_Outlined, PlainData):
         centres = (2 * np.arange(rows) + 1) / rows - 1
         beyond = (values > 0) & (np.hypot(centres, centres[:, None]) > 1)
         refuse_if(
-            beyond.any(),
-            f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0",
+            beyond.any(), f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0"
         )
         put(self, transmission=values)
 

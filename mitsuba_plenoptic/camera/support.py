@@ -133,9 +133,7 @@ _MIXES = (
 )
 _BEFORE_DETECTOR = (
     refused(
-        Use.POINT_FIELDS | Use.COHERENT_POINTS,
-        "they are the light before the detector",
-        "CaptureOperator.forward",
+        Use.POINT_FIELDS | Use.COHERENT_POINTS, "they are the light before the detector", "CaptureOperator.forward"
     ),
     refused(Use.WAVEFRONTS, "they are the light before the detector"),
     refused(Use.POINT_RAYS, "they are the light before the detector", "waves of points"),
@@ -145,11 +143,7 @@ _DISPERSES = (
     approximate(Use.RAY_SPREADS, "without a wavelength rays see the focal length at the line d"),
     approximate(_GEOMETRY, "rays go back with the focal length at the line d"),
     refused(Use.POINT_RAYS, "rays of points have no wavelength", "waves of points"),
-    refused(
-        Use.POINT_DERIVATIVES,
-        "they are those of fixed focal lengths",
-        "the camera's at_wavelength",
-    ),
+    refused(Use.POINT_DERIVATIVES, "they are those of fixed focal lengths", "the camera's at_wavelength"),
     _NO_DERIVATIVE,
 )
 
@@ -226,16 +220,11 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         _NO_DERIVATIVE,
     ),
     "mla_medium": (refused(Use.CALIBRATION, "it is not told from other distances"),),
-    "mla_absorption": (
-        *_BEHIND_LENSES,
-        _NO_DERIVATIVE,
-    ),
+    "mla_absorption": (*_BEHIND_LENSES, _NO_DERIVATIVE),
     "mla_shape": (
         refused(_RECONSTRUCTIONS, "the light goes back through parabolic microlenses", "method ray"),
         refused(
-            Use.POINT_DERIVATIVES | Use.POINT_RAYS,
-            "they are those of parabolic microlenses",
-            "CaptureOperator.forward",
+            Use.POINT_DERIVATIVES | Use.POINT_RAYS, "they are those of parabolic microlenses", "CaptureOperator.forward"
         ),
         refused(Use.CALIBRATION, "they find the focal lengths of parabolic microlenses"),
         approximate(_GEOMETRY, "the lenses count as parabolas of their focal length"),
@@ -266,9 +255,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         approximate(Use.SCENES, "by its slopes, which must vary little between points of the pupil that interfere"),
         _NO_DERIVATIVE,
         refused(
-            _PATCHES | Use.POINT_RAYS,
-            "patches sample smooth phases only",
-            "CaptureOperator with method full_field",
+            _PATCHES | Use.POINT_RAYS, "patches sample smooth phases only", "CaptureOperator with method full_field"
         ),
         refused(_RECONSTRUCTIONS, "the light goes back through a lens without it", "method ray, which ignores it"),
         _MORE_TERMS,
@@ -300,9 +287,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_figure_error": (
         refused(_SCENES, "kernels are those of smooth microlenses", "ray captures, or CaptureOperator in full fields"),
         refused(
-            _PATCHES | Use.POINT_RAYS,
-            "patches treat the array as periodic",
-            "CaptureOperator with method full_field",
+            _PATCHES | Use.POINT_RAYS, "patches treat the array as periodic", "CaptureOperator with method full_field"
         ),
         refused(
             _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"
@@ -336,11 +321,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "pixel_crosstalk": (*_BEFORE_DETECTOR, *_MIXES),
     "stray_light": (*_BEFORE_DETECTOR, *_MIXES),
     "stray_width": _MIXES,
-    "pixel_response": (
-        *_BEHIND_LENSES,
-        refused(Use.SMALL_LENSES, "the responses contain it"),
-        _NO_DERIVATIVE,
-    ),
+    "pixel_response": (*_BEHIND_LENSES, refused(Use.SMALL_LENSES, "the responses contain it"), _NO_DERIVATIVE),
     "main_lens": (
         approximate(Use.RESPONSES, _ZONES, _PRESCRIPTION),
         refused(
@@ -405,10 +386,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             _NOT_THIN,
         ),
         refused(
-            Use.DECODING,
-            "captures are decoded by the centre of a thin lens's pupil",
-            "reconstructions",
-            _PRESCRIPTION,
+            Use.DECODING, "captures are decoded by the centre of a thin lens's pupil", "reconstructions", _PRESCRIPTION
         ),
         refused(
             Use.LENS_CENTRES | Use.CALIBRATION | Use.FIELD_DERIVATIVES,

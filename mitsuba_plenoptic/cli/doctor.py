@@ -10,10 +10,7 @@ import typer
 from .options import Json
 
 
-def doctor(
-    *,
-    as_json: Json = False,
-) -> None:
+def doctor(*, as_json: Json = False) -> None:
     """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
 
     Each variant that may work renders a triangle in a process of its own, which takes some seconds. The exit status is

@@ -12,11 +12,7 @@ from ..choices import Example
 from . import options
 
 
-def example(
-    name: Example,
-    *,
-    output: Annotated[Path, options.ends_in(".exr")] | None = None,
-) -> None:
+def example(name: Example, *, output: Annotated[Path, options.ends_in(".exr")] | None = None) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.
 
     All are by one camera of 48 x 48 microlenses. The letters are at 210, 240 and 280 mm; white is a luminous wall, for

@@ -106,10 +106,7 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
 
 
 def light_field(
-    source: Path,
-    options: Mapping[str, Any],
-    camera: PlenopticCamera | None,
-    truth: Path | bool = False,
+    source: Path, options: Mapping[str, Any], camera: PlenopticCamera | None, truth: Path | bool = False
 ) -> xr.DataArray:
     """Return the light field that a command reads, by its options `LightField`."""
     from ..views import open_light_field

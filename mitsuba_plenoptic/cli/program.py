@@ -97,10 +97,7 @@ class _Commands(TyperGroup):
 def command_group() -> Any:
     """Return the command with its subcommands, none of which is imported."""
     application = typer.Typer(
-        cls=_Commands,
-        rich_markup_mode="rich",
-        pretty_exceptions_enable=False,
-        context_settings=_HELP,
+        cls=_Commands, rich_markup_mode="rich", pretty_exceptions_enable=False, context_settings=_HELP
     )
     application.callback(invoke_without_command=True)(_root)
     root: Any = typer.main.get_command(application)
@@ -183,12 +180,7 @@ _FOR_ALL: dict[str, Any] = {
     name: Annotated[
         bool,
         typer.Option(
-            f"-{name[0]}",
-            f"--{name}",
-            help=text,
-            callback=callback,
-            is_eager=True,
-            rich_help_panel="Every command",
+            f"-{name[0]}", f"--{name}", help=text, callback=callback, is_eager=True, rich_help_panel="Every command"
         ),
     ]
     for name, text, callback in (

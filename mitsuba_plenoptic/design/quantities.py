@@ -270,10 +270,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
     base = camera.mla_distance / camera.focal_length - 1
     near = base + max(ends)
     far = base + min(ends)
-    return (
-        camera.mla_distance / near if near > 0 else math.inf,
-        camera.mla_distance / far if far > 0 else math.inf,
-    )
+    return (camera.mla_distance / near if near > 0 else math.inf, camera.mla_distance / far if far > 0 else math.inf)
 
 
 def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:

@@ -320,11 +320,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 
 @styled
 def figure_pairs(
-    path: Path,
-    pairs: Mapping[str, Sequence[Array]],
-    bound: float,
-    bar: Callable[[Axes, Array], None],
-    pdf: bool,
+    path: Path, pairs: Mapping[str, Sequence[Array]], bound: float, bar: Callable[[Axes, Array], None], pdf: bool
 ) -> None:
     """Draw images by rays, by waves, and their difference up to a bound relative to white; a row for each title.
 

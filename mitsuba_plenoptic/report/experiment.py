@@ -31,12 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 def thin_lens_image(
-    scene: Any,
-    camera: PlenopticCamera,
-    distance: float,
-    spp: int,
-    oversample: int = 1,
-    pixel_format: str = "luminance",
+    scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1, pixel_format: str = "luminance"
 ) -> Array:
     """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
@@ -461,12 +456,7 @@ def captured(
 
 
 def against_ordinary(
-    store: Cache,
-    spec: CaptureSpec,
-    scene: mi.Scene,
-    camera: PlenopticCamera,
-    twin: PlenopticCamera,
-    distance: float,
+    store: Cache, spec: CaptureSpec, scene: mi.Scene, camera: PlenopticCamera, twin: PlenopticCamera, distance: float
 ) -> Ordinary:
     """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
     capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())

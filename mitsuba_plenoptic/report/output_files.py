@@ -51,10 +51,7 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: 
 
 
 def write_reconstructions(
-    paths: Sequence[Path],
-    results: Sequence[Reconstruction],
-    source: dict[str, Any] | None,
-    drawing: Drawing,
+    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None, drawing: Drawing
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 

@@ -84,14 +84,7 @@ class Plot(Figure):
         return panels
 
     def colour_bar(
-        self,
-        artist: Any,
-        beside: Any,
-        label: str,
-        *,
-        location: str = "right",
-        text: float = 8,
-        extend: str = "neither",
+        self, artist: Any, beside: Any, label: str, *, location: str = "right", text: float = 8, extend: str = "neither"
     ) -> Any:
         """Add a colour bar for an image beside its axes, or beside all that share its colours, and return it."""
         rows = {axes.get_subplotspec().rowspan.start for axes in np.ravel(beside)}

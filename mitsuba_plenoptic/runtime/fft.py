@@ -223,11 +223,7 @@ def split(types: Any, index: Any, rows: int, columns: int) -> Triple:
     """Return a flat index as the indices of image, row and column."""
     line = quotient(index, columns, types)
     image = quotient(line, rows, types)
-    return (
-        image,
-        line - image * dr.opaque(types.UInt32, rows),
-        index - line * dr.opaque(types.UInt32, columns),
-    )
+    return (image, line - image * dr.opaque(types.UInt32, rows), index - line * dr.opaque(types.UInt32, columns))
 
 
 def convolve(image: Array, kernel: Array) -> Doubles:

@@ -21,16 +21,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import yaml
 
-from ..errors import (
-    NO_RECORD,
-    InputError,
-    naming,
-    refuse_if,
-    refusing,
-    require_module,
-    require_suffix,
-    short_repr,
-)
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
 from .backend import Doubles
 
 _one_at_a_time = threading.Lock()

@@ -236,8 +236,7 @@ def white(
     from ...runtime import require_apart, require_writable, write_text
 
     refuse_if(
-        model == "ray" and wavelength is not None,
-        f"--wavelength = {wavelength}: a fit by rays has none; leave it out",
+        model == "ray" and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out"
     )
     for path in filter(None, (output, report)):
         require_apart(require_writable(path), picture, dark)

@@ -120,12 +120,7 @@ def fit_white(
     generator = np.random.default_rng(seed)
     size = frame.light.shape[::-1]
     plain = camera.replace(
-        mla_warp=(),
-        mla_tilt=(0.0, 0.0),
-        mla_transmissions=None,
-        vignetting=None,
-        pupil_apodisation=(0.0, 0.0),
-        **SHARP,
+        mla_warp=(), mla_tilt=(0.0, 0.0), mla_transmissions=None, vignetting=None, pupil_apodisation=(0.0, 0.0), **SHARP
     )
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.

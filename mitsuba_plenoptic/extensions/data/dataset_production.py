@@ -16,18 +16,7 @@ from ...report import images, plots
 from ...runtime import Array, BatchMap, Progress, h5py_module, locked, remove_leftovers, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import (
-    CARD,
-    LOCK,
-    PREVIEW,
-    DataFolder,
-    DataSet,
-    claim,
-    open_shard,
-    read_sample,
-    samples_in,
-    write_samples,
-)
+from .shards import CARD, LOCK, PREVIEW, DataFolder, DataSet, claim, open_shard, read_sample, samples_in, write_samples
 
 
 @dataclass(frozen=True)
@@ -56,11 +45,7 @@ class SampleTask:
 
 
 def make_dataset(
-    recipe: Recipe,
-    folder: str | Path,
-    *,
-    batch_map: BatchMap | None = None,
-    progress: Progress | None = None,
+    recipe: Recipe, folder: str | Path, *, batch_map: BatchMap | None = None, progress: Progress | None = None
 ) -> DataSet:
     """Make a data set, or resume an interrupted run with the same bits.
 

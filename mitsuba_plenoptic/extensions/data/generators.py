@@ -184,12 +184,7 @@ class Shapes:
             size = self.size * max(field) * random.uniform(0.5, 1.5)
             objects[f"object_{index}"] = self._object(kind, position, size, self.tilt, self.plain, lens, random)
         middle = 2 / (1 / near + 1 / far)
-        return {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            **light.emitters(random, middle),
-            **objects,
-        }
+        return {"type": "scene", "integrator": {"type": "direct"}, **light.emitters(random, middle), **objects}
 
     def _object(
         self,

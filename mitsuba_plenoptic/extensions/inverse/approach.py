@@ -58,9 +58,7 @@ def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):
-        rows = np.concatenate(
-            [np.stack([u, -ratio * v, ones, none], 1), np.stack([ratio * v, u, none, ones], 1)],
-        )
+        rows = np.concatenate([np.stack([u, -ratio * v, ones, none], 1), np.stack([ratio * v, u, none, ones], 1)])
         (a, b, left, up), *_ = np.linalg.lstsq(rows, np.concatenate([x, y]), rcond=None)
         if np.ndim(camera.to_dict()["mla_pitch"]) == 0:
             break

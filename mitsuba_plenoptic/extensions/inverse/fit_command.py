@@ -87,8 +87,7 @@ def fit(
     noises = [fitting.noise_of(capture) for capture in read]
     for path, (noise, _) in zip(captures, noises, strict=True):
         refuse_if(
-            noise is None and photons is None,
-            f"{path}: it keeps no noise, as 'expose' has not made it; give --photons",
+            noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
         )
         if noise is not None and photons is not None:
             raise InputError(

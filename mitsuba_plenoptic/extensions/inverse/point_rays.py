@@ -13,12 +13,7 @@ import drjit as dr
 import numpy as np
 
 from ...array import make_lattice
-from ...camera import (
-    CameraVector,
-    PlenopticCamera,
-    Use,
-    require_support,
-)
+from ...camera import CameraVector, PlenopticCamera, Use, require_support
 from ...errors import refuse_if, short_repr
 from ...fields import OpticalSystem
 from ...lenses import MainLens, convergence

@@ -38,10 +38,7 @@ _TOLERANCE = 5e-6
 _TRIED = 64
 """Points of a layer for which the interpolation is tried, and positions on the pupil."""
 
-_DIAGONALS = np.array(
-    [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)],
-    np.float64,
-)
+_DIAGONALS = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
 """Directions in the tilt along x and y, and nearness, of a layer's points."""
 
 _BASIS = 2048

@@ -12,14 +12,7 @@ import xarray as xr
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
 from ...detector import SHARP, DetectorOperator
-from ...errors import (
-    refuse_if,
-    require_choice,
-    require_count,
-    require_number,
-    require_wavelength,
-    suggest_keywords,
-)
+from ...errors import refuse_if, require_choice, require_count, require_number, require_wavelength, suggest_keywords
 from ...fields import OpticalSystem
 from ...lenses import main_lens
 from ...points import footprint, point_spread_function

@@ -90,12 +90,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
     return replace(capture, image=np.where(needed, capture.image, np.float32(0)))
 
 
-def of_subsets(
-    capture: Capture,
-    distance: float,
-    label: Callable[[Array, Array], Array],
-    oversample: int = 1,
-) -> Any:
+def of_subsets(capture: Capture, distance: float, label: Callable[[Array, Array], Array], oversample: int = 1) -> Any:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
     labels = label(*lenses_of_pixels(capture.camera))
     # Each image is divided by white of one wave; white of the same subsets takes its place.

@@ -226,12 +226,7 @@ def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
 
 
 def _quality(
-    name: str,
-    shape: Shape,
-    recording: Recording,
-    paper: Floats,
-    image: Floats,
-    wavelength: float,
+    name: str, shape: Shape, recording: Recording, paper: Floats, image: Floats, wavelength: float
 ) -> dict[str, Any]:
     """Return what is left of the lenses' grid, what is unexplained, and the width of an edge, in a shape's plane."""
     row: dict[str, Any] = {"shape": name, "distance": shape.distance}

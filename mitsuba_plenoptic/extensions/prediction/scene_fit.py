@@ -53,12 +53,7 @@ class _PriorSteps(Steps):
     """Steps of Richardson and Lucy with the prior, in some of which stray light is found."""
 
     def __init__(
-        self,
-        projector: SceneProjection,
-        electrons: Array,
-        used: Array,
-        dark_variance: float,
-        strength: float,
+        self, projector: SceneProjection, electrons: Array, used: Array, dark_variance: float, strength: float
     ) -> None:
         self.operator = projector
         self.image = electrons

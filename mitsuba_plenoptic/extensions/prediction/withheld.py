@@ -46,10 +46,7 @@ class Withheld:
             f"part: {count} of its lenses are not at its border: at least {_FEWEST_JUDGED} are needed to withhold 10 %",
         )
         inner = within.ravel()[part.lens_of]
-        draw = {
-            "pixels": generator.random(len(part.pixel)),
-            "lenses": generator.random(columns * rows)[part.lens_of],
-        }
+        draw = {"pixels": generator.random(len(part.pixel)), "lenses": generator.random(columns * rows)[part.lens_of]}
         # Parts of the pixels, and of the lenses, that are predicted.
         test = {name: draw[name] < {"pixels": 0.2, "lenses": 0.1}[name] for name in TESTS}
         # Part of the pixels, and of the lenses, that choose the strength of the prior.

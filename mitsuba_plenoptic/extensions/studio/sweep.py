@@ -17,15 +17,7 @@ import xarray as xr
 
 from ...camera import MATCHED, PARAMETERS, PlenopticCamera, varied_camera
 from ...capture_spec import CaptureSpec
-from ...errors import (
-    InputError,
-    argument,
-    did_you_mean,
-    refuse_if,
-    require_module,
-    require_number,
-    require_wavelength,
-)
+from ...errors import InputError, argument, did_you_mean, refuse_if, require_module, require_number, require_wavelength
 from ...io import Cache, Capture, Checkpoint, StageOptions
 from ...prescription import lens_data
 from ...refocus import registered

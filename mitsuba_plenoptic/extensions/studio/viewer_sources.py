@@ -19,12 +19,7 @@ from .viewer import Recording, decoded
 
 
 def read_source(
-    path: str | Path,
-    *,
-    white: str | Path | None,
-    views: int | None,
-    linear: bool,
-    camera: PlenopticCamera | None,
+    path: str | Path, *, white: str | Path | None, views: int | None, linear: bool, camera: PlenopticCamera | None
 ) -> Recording | xr.DataArray | xr.Dataset:
     """Return the recording, focal stack or depth map that a source file of the viewer contains.
 
