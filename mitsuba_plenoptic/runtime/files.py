@@ -61,8 +61,10 @@ def _writable(path: str | Path, *suffixes: str) -> Path:
     return path
 
 
-def require_apart(path: Path, *sources: Path | None) -> None:
-    """Refuse an output file that is also an input and would be replaced."""
+def require_output(path: Path, *sources: Path | None, is_folder: bool = False) -> None:
+    """Refuse an output, a file or a folder, that cannot be written, or is also an input and would be replaced."""
+    if not is_folder:
+        require_writable(path)
     for source in sources:
         refuse_if(
             source is not None and path.exists() and source.exists() and path.samefile(source),
