@@ -19,7 +19,7 @@ from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
-from ...runtime import Array, Integers, Progress
+from ...runtime import Array, Progress
 from ...views import capture_white, lenses_of_pixels
 
 
@@ -124,7 +124,9 @@ def colour_count(capture: Capture, distance: float) -> int:
     )
     passes = down**2 + across**2 <= camera.lit_radius**2
     column, row = (index[passes] - index.min() for index in (i, j))
-    u, v = (_counted(place[passes] / camera.row_pitch) for place in (u, v))
+    # Bins of the pixels' places, counted from 1.
+    u, v = (np.floor(place[passes] / camera.row_pitch).astype(np.int64) for place in (u, v))
+    u, v = (bins - bins.min(initial=0) + 1 for bins in (u, v))
     lenses = int(column.max()) + 1
     width = int(u.max()) + 2
     shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width
@@ -148,9 +150,3 @@ def colour_count(capture: Capture, distance: float) -> int:
         neighbour_colours = set(colours[others[overlapping]].tolist())
         colours[lens] = next(colour for colour in itertools.count() if colour not in neighbour_colours)
     return int(colours.max()) + 1
-
-
-def _counted(places: Array) -> Integers:
-    """Return the bins of places, counted from 1."""
-    bins = np.floor(places).astype(np.int64)
-    return bins - bins.min(initial=0) + 1

@@ -81,7 +81,12 @@ class _PriorSteps(Steps):
         """Return the scene after a step from a point whose direct light and glow are `model`."""
         # Steps before which stray light is found.
         if self._done in (2, 5, 9, 14, 19):
-            self.stray = _stray(self.image, self._mask, *model)
+            # The part of the mean light that explains best what the direct light leaves, weighted by noise.
+            direct, glow = model
+            weight = self._mask / (np.maximum(direct, 0) + 1)
+            explained = (weight * (self.image - direct) * glow).sum()
+            fraction = float(explained / max(float((weight * glow * glow).sum()), 1e-20))
+            self.stray = min(max(fraction, 0.0), 0.5)
             self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
         self._done += 1
         back = self._spread(self._mask * self._shifted / (np.maximum(self.predicted(model), 0) + self._shift))
@@ -107,10 +112,3 @@ def fit_scene(
     steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
     solution = solve(steps, iterations=iterations, accelerate=True, progress=progress)
     return SceneFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
-
-
-def _stray(electrons: Array, mask: Array, direct: Array, glow: Array) -> float:
-    """Return the part of the mean light that explains best what the direct light leaves, weighted by noise."""
-    weight = mask / (np.maximum(direct, 0) + 1)
-    fraction = float((weight * (electrons - direct) * glow).sum() / max(float((weight * glow * glow).sum()), 1e-20))
-    return min(max(fraction, 0.0), 0.5)

@@ -187,7 +187,9 @@ class Study:
         self.simulated, self.strength = cache(self._simulated), cache(self._strength)
         self.part = cache(lambda light: ArrayPart(self.model(light), self._pixels))
         self.withheld = cache(lambda seed: Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed))
-        self.projector = lru_cache(1)(self._projector)
+        self.projector = lru_cache(1)(
+            lambda light: SceneProjection(self.part(light), [plane_of(self.part(light), g) for g in self.distances])
+        )
 
     # -- cameras and planes ----------------------------------------------------------------------
 
@@ -255,11 +257,6 @@ class Study:
             return {"distances": chosen}
 
         return list(self.stages.facts("search", [self._given, _SEARCHED], found)["distances"])
-
-    def _projector(self, light: str) -> SceneProjection:
-        """Return the projection of the scene on the part."""
-        part = self.part(light)
-        return SceneProjection(part, [plane_of(part, distance) for distance in self.distances])
 
     # -- runs ------------------------------------------------------------------------------------
 
