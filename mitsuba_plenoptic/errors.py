@@ -4,8 +4,6 @@ Every ``require_...`` returns what it was given, as the type that it should be, 
 thing, its value and the rule.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import functools
@@ -219,7 +217,8 @@ def suggest_keywords(
     """Return a function that answers an unknown keyword with the most similar known one.
 
     `others` are keywords that the function hands on; for a class, the constructor counts. `absent` returns the line for
-    keywords that a missing extension would add.
+    keywords that a missing extension would add. Modules of such functions postpone annotations: types of arguments in
+    wrong places are told by their names as they are written.
     """
     if isinstance(function, type):
         constructor = function.__init__  # type: ignore[misc]

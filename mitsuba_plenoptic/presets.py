@@ -82,8 +82,6 @@ of rays and waves. The paper's own lenses are parabolic phases, which aberrate t
 waves of 633 nm over the field; `report.experiment`, which repeats its study, sets ``parabolic`` for rays and waves.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from .extension import entries, place

@@ -1,7 +1,5 @@
 """Surfaces of revolution: spheres, conics and aspheres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial

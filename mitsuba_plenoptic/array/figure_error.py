@@ -1,7 +1,5 @@
 """Figure errors of microlens arrays: random optical paths over the whole array."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass

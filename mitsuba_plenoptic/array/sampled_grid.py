@@ -1,7 +1,5 @@
 """Smooth functions over a cell from samples on a grid: bicubic splines, on NumPy and Dr.Jit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras named by ``--camera`` of a command: presets, files of parameters, and parameters as text."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re

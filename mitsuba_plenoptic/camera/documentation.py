@@ -1,7 +1,5 @@
 """Documentation from the table of a camera's parameters, for the docstrings of the camera and the sensor."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import textwrap

@@ -1,7 +1,5 @@
 """Commonly used quantities that follow from a camera's parameters: its pupil, lattice, pixels and bins."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 from typing import Any

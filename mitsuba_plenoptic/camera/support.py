@@ -5,8 +5,6 @@ refusal, with its reason and what works instead; or a remark why the parameter c
 called where a camera enters a computation, and prints the refusal; docs/reference/models.md prints the whole table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

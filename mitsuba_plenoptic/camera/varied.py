@@ -1,7 +1,5 @@
 """A camera with values varied in what states it: parameters, or the numbers of a data sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

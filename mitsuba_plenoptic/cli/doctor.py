@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic doctor``: the state of the installation."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic example``: a finished capture to try the other commands on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Commands on light fields: ``views``, ``epi``, ``stack``, ``depth``, and ``convert`` to other formats."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Literal

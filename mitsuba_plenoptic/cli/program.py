@@ -3,8 +3,6 @@
 Commands import the library in their bodies, so that help, completion and refused options need not wait for it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib

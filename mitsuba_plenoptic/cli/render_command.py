@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic render`` and ``expose``: captures of scenes, and what a real detector records."""
 
-from __future__ import annotations
-
 import time
 from contextlib import nullcontext
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Memory in which fields are transformed, block by block, shared by all links of a chain."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager

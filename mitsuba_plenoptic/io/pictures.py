@@ -5,8 +5,6 @@ numbers are encoded, from black to white; floating-point numbers are proportiona
 refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct

@@ -1,7 +1,5 @@
 """Ground truth: the surfaces that rays of a capture and of its views meet, in a file next to the capture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

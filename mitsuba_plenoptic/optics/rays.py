@@ -9,8 +9,6 @@ Symbols: p detector point, m MLA point, c microlens centre, P pupil point, t slo
 X scene point at distance g, q point of the MLA plane.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

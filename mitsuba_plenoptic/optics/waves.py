@@ -9,8 +9,6 @@ The field is periodic: light that leaves the window on one side re-enters it on 
 that is wide enough.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

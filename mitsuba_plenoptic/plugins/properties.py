@@ -3,8 +3,6 @@
 Messages state the plugin, the parameter, its value and the rule.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

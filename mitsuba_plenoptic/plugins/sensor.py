@@ -1,7 +1,5 @@
 """The sensor plugin ``plenoptic``: the ray model of a plenoptic camera."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import sys

@@ -1,7 +1,5 @@
 """The base of the integrators of wave captures: wavelengths, films, and what all of them refuse."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

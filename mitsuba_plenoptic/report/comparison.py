@@ -1,7 +1,5 @@
 """The comparison of rays and waves on any scene: captured, measured, drawn and reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The design sheet: quantities that follow from a camera's parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple

@@ -9,8 +9,6 @@ first, and caches cuFFT plans by shape (`cupy.fft.config.get_plan_cache`). Calle
 that a transform returns.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools

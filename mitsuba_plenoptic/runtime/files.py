@@ -1,7 +1,5 @@
 """Files: read within bounds on the sizes that they claim, and written completely or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools

@@ -7,8 +7,6 @@ ours. The scenes are earlier ones that notebooks, exceptions or circles of refer
 `gc.callbacks` before each collection.
 """
 
-from __future__ import annotations
-
 import _thread
 import gc
 import sys

@@ -8,8 +8,6 @@ before a kernel is compiled, what to do if there is no library.
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import re

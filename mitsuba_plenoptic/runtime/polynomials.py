@@ -1,7 +1,5 @@
 """Polynomials of two variables: the powers of their terms, by rising degree, and the terms' values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ lenses and pixels, the fitted numbers with their deviations, the poses, and the 
 camera accepts such a file.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict

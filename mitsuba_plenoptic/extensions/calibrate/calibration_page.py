@@ -1,7 +1,5 @@
 """The report on a calibration: a page with its numbers, residuals and boards."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path

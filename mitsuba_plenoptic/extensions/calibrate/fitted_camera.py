@@ -1,7 +1,5 @@
 """Parameters of a camera from what a fit to its white picture found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -8,8 +8,6 @@ periodic, with one coefficient for each order of a Fourier series. Relay lenses 
 width of a pixel; light that is scattered farther than a lens is a constant.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import numpy as np

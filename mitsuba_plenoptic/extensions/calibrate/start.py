@@ -12,8 +12,6 @@ by a fit of few numbers.
 Rows that disagree with most rows of their frame are left out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...errors import InputError, refuse_if

@@ -8,8 +8,6 @@ Dust on the array or the detector darkens part of a micro-image and displaces it
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Fit of a camera to its white picture: array, pupil over the field, blur, stray light, brightness of lenses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

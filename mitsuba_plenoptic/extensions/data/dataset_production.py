@@ -1,7 +1,5 @@
 """Production of a data set, sample by sample, so that a killed run resumes where it was."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Iterable

@@ -3,8 +3,6 @@
 Other extensions add theirs by `generators` of their records; what they show need not be a scene of Mitsuba's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

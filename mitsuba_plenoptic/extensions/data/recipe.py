@@ -1,7 +1,5 @@
 """The recipe of a data set: which scenes, cameras, light and noise, and how often; from YAML or JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 import zlib

@@ -1,7 +1,5 @@
 """One sample of a data set: captures of a scene by one camera, ground truth, and all parameters drawn for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A file has a group for each sample, named by the index in six digits, with the s
 checksum with each, so that a damaged sample is refused when it is read. The same samples give the same bytes.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import operator

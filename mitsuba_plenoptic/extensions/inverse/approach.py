@@ -1,7 +1,5 @@
 """Coarse fits that bring a camera close enough to the true one for `fit` to converge."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """The search for camera parameters that maximise a figure of merit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol

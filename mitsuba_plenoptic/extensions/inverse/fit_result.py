@@ -1,7 +1,5 @@
 """The result of a fit, its uncertainty, and reasons to doubt it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Figures of merit of a camera with their gradients: sharpness, and the information on depth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Point spreads one by one, each in the pixels that it reaches."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -15,8 +15,6 @@ copies of one sphere, shifted by :math:`m = -u / v`. Their sum is a convolution 
 plane (`Spheres`). The transform of the points is again a non-uniform one.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator

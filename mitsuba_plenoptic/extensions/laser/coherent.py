@@ -4,8 +4,6 @@ The field on the pupil is a sum over layers of distance (see `pupil_sums`). It p
 same chain as a single point's field (see `points.full_fields`), and so does the adjoint back.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 from typing import Any

@@ -10,8 +10,6 @@ in the units of captures. Lasers are mutually coherent: the fields of several th
 of their paths, so that the reflected light has the fringes of their interference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the com
 points, and no step is paraxial.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -4,8 +4,6 @@ Both readers know the keywords that they support and those that do not change th
 refused by file, line and rule, so that no lens is read as a different one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging

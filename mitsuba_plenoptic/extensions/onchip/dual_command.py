@@ -1,7 +1,5 @@
 """The command ``dual``: pictures of the photodiodes of dual and quad pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

@@ -1,7 +1,5 @@
 """Responses of photodiodes for single rays, in Dr.Jit."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

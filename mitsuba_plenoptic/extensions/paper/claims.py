@@ -1,7 +1,5 @@
 """The paper's conclusions, each with a verdict computed from this package's results."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 The subsets of lenses are labels of the pixels of a square array, which may be turned.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

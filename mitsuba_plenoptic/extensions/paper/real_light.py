@@ -3,8 +3,6 @@
 The verdicts are those on simulated letters: `claims.check_claims` of the same measurements.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

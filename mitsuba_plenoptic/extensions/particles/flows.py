@@ -4,8 +4,6 @@ All but imported ones are free of divergence, so that particles that are spread 
 dataclass with `velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields

@@ -8,8 +8,6 @@ behind the window. That of an objective is infinitely far, and by the sine condi
 in the direction with :math:`n \sin\theta = |P| / f`, alike for all particles.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache

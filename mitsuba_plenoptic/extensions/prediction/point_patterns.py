@@ -6,8 +6,6 @@ deconvolution for the light field microscope", Optics Express 21, 25418), to fir
 elements before one lens stand for all, and a plane has as many bins as the part has lenses, at every distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

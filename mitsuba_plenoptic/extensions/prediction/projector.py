@@ -6,8 +6,6 @@ interpolation (Keys 1981, IEEE Trans. Acoust. Speech Signal Process. 29, 1153), 
 gives the camera's white picture: so the pupil over the field, unequal lenses and the light's apodisation are right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

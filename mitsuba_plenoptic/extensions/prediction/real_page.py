@@ -1,7 +1,5 @@
 """Page on a real light field beside simulated ones: pixels, differences, profiles, planes of the scene, figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

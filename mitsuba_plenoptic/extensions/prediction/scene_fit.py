@@ -10,8 +10,6 @@ shifted values (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). St
 least squares on the way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

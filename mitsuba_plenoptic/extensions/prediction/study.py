@@ -1,7 +1,5 @@
 """Do waves predict the pixels of a real light field better than rays? The runs that answer it, and the answer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache

@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic demosaic``: three colours of every pixel of a raw picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated

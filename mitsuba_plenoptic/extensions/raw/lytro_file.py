@@ -13,8 +13,6 @@ bits occupy 3 bytes, big-endian. Of four pixels of 10 bits, 4 bytes hold the upp
 with the first pixel's lowest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

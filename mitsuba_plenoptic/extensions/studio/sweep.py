@@ -1,7 +1,5 @@
 """Parameter sweeps: captures and reconstructions over a grid of cameras, wavelengths and distances in one dataset."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json

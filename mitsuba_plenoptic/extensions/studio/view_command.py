@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic view``: an interactive page of a capture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Source files of the viewer, recognised by suffix and, for OpenEXR, by the kind stated in the header."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
