@@ -37,8 +37,8 @@ class FigureError:
 
     def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path at positions, in millimetres per millimetre."""
-        across: Any = 0.0
-        up: Any = 0.0
+        across = 0.0
+        up = 0.0
         for _, sine, u, v in self._waves(x, y):
             across = across - sine * u
             up = up - sine * v

@@ -168,7 +168,7 @@ class SampledGrid:
         (column, u), (row, v) = self._places(x, y)
         across = _weights(u, derivative[0])
         up = _weights(v, derivative[1])
-        total: Any = 0.0
+        total = 0.0
         for down in (0, 1):
             for right in (0, 1):
                 index = (row + down) * self._samples.shape[1] + column + right

@@ -132,7 +132,7 @@ class Vignetting(PlainData):
         terms = monomials(u, v, exponents(_MAP_DEGREES[len(self.transmission)], 2))
         for coefficient, term in zip(self.transmission, terms, strict=True):
             value = value + coefficient * term
-        edge: Any = 1.0
+        edge = 1.0
         if self.harmonics:
             length = types.sqrt(types.maximum(square, 1e-12))
             cosine = u / length

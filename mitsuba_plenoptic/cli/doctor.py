@@ -1,7 +1,6 @@
 """``mitsuba-plenoptic doctor``: the state of the installation."""
 
 import json
-from typing import Any
 
 import typer
 
@@ -19,7 +18,7 @@ def doctor(*, as_json: Json = False) -> None:
     installation = inspect_installation()
     if as_json:
         sections = {title: dict(lines) for title, lines in installation.sections.items()}
-        facts: dict[str, Any] = {
+        facts = {
             "ready": installation.ready,
             "verdict": installation.verdict,
             "problem": installation.problem,

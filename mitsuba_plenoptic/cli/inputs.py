@@ -269,7 +269,7 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     from ..scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
-    formats: list[str] = []
+    formats = []
     for film in [node for root in roots for node in root.iter("film")] or [Element("film", type="hdrfilm")]:
         named = [node.get("value", "") for node in film.iter("string") if node.get("name") == "pixel_format"]
         formats += named or (["rgb"] if film.get("type") == "hdrfilm" else [])

@@ -287,7 +287,7 @@ def _interrupts() -> Iterator[None]:
         raise KeyboardInterrupt
 
     # Other handlers, and threads that receive no signals, keep what they have.
-    before: dict[int, Any] = {}
+    before = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.getsignal(number) for number in STOPS}
     ours = [number for number, handler in before.items() if handler in (signal.default_int_handler, signal.SIG_DFL)]

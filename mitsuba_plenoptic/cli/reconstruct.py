@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 def _method_options() -> dict[str, Any]:
     """Return an option of the command for each argument that only some methods take."""
-    command_options: dict[str, Any] = {}
+    command_options = {}
     for name, option in all_options().items():
         flag = bool in option.types
-        kind: Any = str | None if str in option.types else option.types[0] | None
+        kind = str | None if str in option.types else option.types[0] | None
         command_options[name] = Annotated[
             kind,
             typer.Option(

@@ -6,7 +6,6 @@ import math
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -179,7 +178,7 @@ def expose(
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image = capture.image
     wavelength = capture.wavelength
-    extra: dict[str, Any] = {}
+    extra = {}
     if detector.mosaic is not None:
         refuse_if(
             image.ndim != 3 or image.shape[2] != 3,

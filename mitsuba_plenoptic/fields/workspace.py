@@ -107,7 +107,7 @@ def retained_workspace(steps: Iterable[Step]) -> Iterator[FieldWorkspace]:
     if active_backend().is_cuda:
         yield FieldWorkspace(steps)
         return
-    buffers: dict[str, Field] = _of_thread.__dict__.pop("buffers", {})
+    buffers = _of_thread.__dict__.pop("buffers", {})
     yield FieldWorkspace(steps, buffers=buffers)
     if sum(buffer.nbytes for buffer in buffers.values()) <= _RETAINED:
         _of_thread.buffers = buffers

@@ -250,7 +250,7 @@ def write_json(path: Path, content: Any) -> None:
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, Array]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
-    arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
+    arrays = {"image": snapshot.image, **prepared}
     if snapshot.partial:
         unfinished = snapshot.partial
         header |= {"batches": unfinished.batches, "arrived": unfinished.arrived}

@@ -54,7 +54,7 @@ def thin_lens_image(
     """
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
-    spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
+    spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
     sensor = photographic_sensor(
         scene,
         camera,
@@ -151,7 +151,7 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
     """Return methods of the ray and of the wave capture, rays always; last the limit, of the wave capture, if named."""
     for name in names:
         require_choice("methods", name, (*_METHODS, "limit"))
-    both: list[RefocusMethod] = []
+    both = []
     for name, (title, options) in _METHODS.items():
         if name in ("ray", *names):
             both += [

@@ -382,7 +382,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[Any] = [
+    maps = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),

@@ -72,7 +72,7 @@ def require_output(path: Path, *sources: Path | None, is_folder: bool = False) -
 
 def require_different(*paths: Path | None) -> None:
     """Refuse output files of which two are the same."""
-    resolved: set[Path] = set()
+    resolved = set()
     for path in filter(None, paths):
         refuse_if(
             path.resolve() in resolved, f"{path}: two results would be written to it; give each a name of its own"

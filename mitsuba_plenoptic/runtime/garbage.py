@@ -23,7 +23,7 @@ def hide_scenes(phase: str, info: dict[str, Any]) -> None:
     global _hidden
     if phase == "start":
         _hidden = dr.flag(dr.JitFlag.SymbolicScope)
-        frames: list[Any] = list(sys._current_frames().values())
+        frames = list(sys._current_frames().values())
         while frames and not _hidden:
             frame = frames.pop()
             # A call of a frozen function.

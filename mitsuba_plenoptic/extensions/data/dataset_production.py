@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -118,7 +118,7 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
             finished = recipe.count - len(waiting)
             progress(round(1000 * (finished + done / max(total, 1))), 1000 * recipe.count)
 
-    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
+    results = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
     for shard in range(layout.shards):
         pack(shard)
     report(0, 1)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -63,7 +62,7 @@ class PatchSpreads(PatchPlan):
                 for points, shift, recorder in self._recorded(pattern):
                     dx, dy = shift.tolist()
                     box = recorder.box
-                    samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
+                    samples = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
                     moved = replace(spread.box, left=spread.box.left + dx, top=spread.box.top + dy)
                     add(Part(moved, sums[None]), box, samples)
                     yield Spread(points, recorder.window, recorder.integrate(samples[0]))

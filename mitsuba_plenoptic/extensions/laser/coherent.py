@@ -71,7 +71,7 @@ class CoherentFields:
         """Return the inner product of each point's field with samples of one of the planes."""
         arrays = active_backend().arrays
         grid = self._pupil
-        field: Field = arrays.asarray(samples, np.complex64)
+        field = arrays.asarray(samples, np.complex64)
         if plane == "pupil":
             field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
         else:

@@ -28,7 +28,7 @@ from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor, soft_edge
 from ...points import blocks
 from ...runtime import Array, Doubles, Field, Integers, active_backend, array_module, fft
-from .carriers import Carrier, PupilGrid, Spheres, Tilts
+from .carriers import PupilGrid, Spheres, Tilts
 
 _TOLERANCE = 5e-6
 """Error of the separated field, relative to its modulus: about that of single precision."""
@@ -59,7 +59,7 @@ class Layer:
         self._lens = lens
         self._wavelength = system.wavelength
         self._grid = grid
-        carrier: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
+        carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
         self._carrier = carrier
         nodes = self._nodes(points)
         on_device = active_backend().arrays.asarray

@@ -50,7 +50,7 @@ def read_codev(path: str | Path) -> Prescription:
 
 def _commands(path: Path, text: str) -> list[Line]:
     """Return the commands of a file: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
-    commands: list[Line] = []
+    commands = []
     words: list[str] = []
     continued = False
     for line_number, line in enumerate(text.splitlines(), start=1):

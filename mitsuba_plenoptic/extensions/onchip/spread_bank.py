@@ -103,7 +103,7 @@ def psf_bank(
                 light[window] = PointRays(local, point[None], wavelength).image(system, np.ones(1))
             bank[index, point_index] = photodiodes(detector.forward(light)[window], along, across)
     steps = np.arange(count) - count // 2
-    coordinates: dict[str, Any] = {
+    coordinates = {
         "depth": ("depth", distances, {"units": "mm"}),
         "x": ("field", computed[:, 0], {"units": "mm", "long_name": "x on the detector"}),
         "y": ("field", computed[:, 1], {"units": "mm", "long_name": "y on the detector"}),

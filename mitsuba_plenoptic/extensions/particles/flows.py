@@ -235,7 +235,7 @@ class ImportedFlow(Flow):
 
     def __post_init__(self) -> None:
         name = "field"
-        data: Any = self.field
+        data = self.field
         if isinstance(data, (str, Path)):
             name = str(data)
             with refusing(f"{name}: it cannot be read as a velocity field:"):
@@ -254,7 +254,7 @@ class ImportedFlow(Flow):
 
     def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions, which must be within the grid."""
-        flow: RegularGridInterpolator = vars(self)["_interpolated"]
+        flow = vars(self)["_interpolated"]
         bounds = np.array([(axis[0], axis[-1]) for axis in flow.grid])
         outside = ((points < bounds[:, 0]) | (points > bounds[:, 1])).any(1)
         if outside.any():

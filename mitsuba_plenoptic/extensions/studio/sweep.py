@@ -60,7 +60,7 @@ def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
     """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
-    checked: dict[str, tuple[float, ...]] = {}
+    checked = {}
     for name, values in grid.items():
         refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
         refuse_if(not len(values), f"grid: {name} has no values")
@@ -149,7 +149,7 @@ class Points:
         method = registered(self._method)
         # Approximate microseconds of a pixel of an image, and of a sample of one.
         of_image = 15.0 if method.long else 1.0 if method.waves else 0.3
-        sizes: dict[str, tuple[int, ...]] = {}
+        sizes = {}
         for point in self:
             spec = self.spec(point)
             if (key := repr((spec.parameters, spec.camera))) not in sizes:

@@ -213,9 +213,9 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, Array, str]], list[xr.Dataset]]:
     """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
-    recordings: list[Recording] = []
-    planes: list[tuple[float, Array, str]] = []
-    depths: list[xr.Dataset] = []
+    recordings = []
+    planes = []
+    depths = []
     for source in sources:
         if isinstance(source, Capture):
             recordings.append(Recording.of(source, source.model, decoded(source)))
@@ -267,7 +267,7 @@ def _recording(
     disparities = np.linspace(*ends, 161) if ends[1] > ends[0] else np.zeros(1)
     has_distances = bool(lf.attrs.get("camera")) and not reason
     distances = distance_of(lf, disparities) if has_distances else np.full(len(disparities), np.nan)
-    content: dict[str, Any] = {
+    content = {
         "name": name,
         "views": images.encode(view_mosaic(lf), bits, full),
         "weight": images.encode(view_mosaic(lf["weight"]), 8, 1.0),
