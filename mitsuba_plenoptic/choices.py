@@ -1,7 +1,5 @@
 """Words and suffixes of files that users choose from, each once: for the library's checks, and for help without it."""
 
-from __future__ import annotations
-
 from typing import Literal, get_args
 
 Model = Literal["ray", "wave"]

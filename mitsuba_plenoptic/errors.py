@@ -4,8 +4,6 @@ Every ``require_...`` returns what it was given, as the type that it should be, 
 thing, its value and the rule.
 """
 
-from __future__ import annotations
-
 import contextlib
 import difflib
 import functools
@@ -214,14 +212,13 @@ _PLAIN = {"int", "float", "bool", "str", "tuple", "list", "dict", "Sequence", "M
 
 
 def suggest_keywords(
-    function: _Call,
-    others: Iterable[str] = (),
-    absent: Callable[[str], str] = lambda name: "",
+    function: _Call, others: Iterable[str] = (), absent: Callable[[str], str] = lambda name: ""
 ) -> _Call:
     """Return a function that answers an unknown keyword with the most similar known one.
 
     `others` are keywords that the function hands on; for a class, the constructor counts. `absent` returns the line for
-    keywords that a missing extension would add.
+    keywords that a missing extension would add. Modules of such functions postpone annotations: types of arguments in
+    wrong places are told by their names as they are written.
     """
     if isinstance(function, type):
         constructor = function.__init__  # type: ignore[misc]
@@ -476,13 +473,7 @@ def require_warp(name: str, value: Any) -> tuple[float, ...]:
 
 
 def require_pairs(
-    name: str,
-    value: Any,
-    *,
-    meaning: str,
-    rising: str,
-    most: tuple[float, float],
-    start: float | None = None,
+    name: str, value: Any, *, meaning: str, rising: str, most: tuple[float, float], start: float | None = None
 ) -> tuple[float, ...]:
     """Return two or more pairs of nonnegative numbers, the first ones rising from 0, as one tuple; it may be empty.
 

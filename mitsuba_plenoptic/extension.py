@@ -6,8 +6,6 @@ An extension is a package whose `__init__` holds an `Extension` called ``EXTENSI
 Modules are imported when what they add is first asked for.
 """
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 from collections.abc import Iterator, Mapping

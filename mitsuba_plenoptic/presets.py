@@ -82,8 +82,6 @@ of rays and waves. The paper's own lenses are parabolic phases, which aberrate t
 waves of 633 nm over the field; `report.experiment`, which repeats its study, sets ``parabolic`` for rays and waves.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from .extension import entries, place
@@ -138,12 +136,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "resolution": (2048, 2048),
     },
     "lfm_water": {
-        "main_lens": {
-            "magnification": 20.0,
-            "numerical_aperture": 0.5,
-            "immersion": 1.33,
-            "tube_focal_length": 180.0,
-        },
+        "main_lens": {"magnification": 20.0, "numerical_aperture": 0.5, "immersion": 1.33, "tube_focal_length": 180.0},
         "mla_focal_length": 2.433,
         "mla_pitch": 0.125,
         "mla_offset": (0.0625, 0.0625),
@@ -182,11 +175,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     },
     "telescope": _WAVEFRONT_SENSOR | {"mla_distance": 500.0, "detector_width": 2.56, "resolution": (256, 256)},
     "shack_hartmann": _WAVEFRONT_SENSOR
-    | {
-        "main_lens": {"collimator_focal_length": 160.0},
-        "detector_width": 3.84,
-        "resolution": (384, 384),
-    },
+    | {"main_lens": {"collimator_focal_length": 160.0}, "detector_width": 3.84, "resolution": (384, 384)},
     "full_frame_50mm": {
         "mla_lattice": "none",
         "main_lens": "double_gauss_f2",

@@ -1,7 +1,5 @@
 """The finder of public modules that extensions add, such as `mitsuba_plenoptic.torch`."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ reconstruct`` with their help follow from these fields, and from those that exte
 reads this module, which imports no library.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import operator

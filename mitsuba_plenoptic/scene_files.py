@@ -1,7 +1,5 @@
 """The scenes that come with the package, by name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .errors import InputError, did_you_mean

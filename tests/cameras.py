@@ -1,11 +1,9 @@
 """Small cameras of many kinds, points before them, scenes as files and films, and how far images are apart."""
 
-import math
-
 import mitsuba as mi
 import numpy as np
 import pytest
-from cases import film, relative
+from cases import relative
 
 from mitsuba_plenoptic import CaptureOperator, Objective, PlenopticCamera, Vignetting, render_capture, scene_path
 from mitsuba_plenoptic.array import Conic
@@ -82,20 +80,6 @@ def warped(camera, farthest, terms=7):
     size = farthest * camera.pixel_size / np.hypot(*moved(*places)).max()
     numbers = size * coefficients / half ** powers.sum(1)
     return camera.replace(mla_warp=tuple(numbers.ravel())), lambda x, y: moved(x, y, size)
-
-
-def pinhole_picture(scene, columns, rows, width, x=0.0, y=0.0, **options):
-    """Render what a point (x, y) of the main lens sees of the plane at 240 mm, whose image is of this width."""
-    sensor = {
-        "type": "perspective",
-        "fov": math.degrees(2 * math.atan(width / 240)),
-        # The film's middle stays where the plane in focus meets the axis.
-        "principal_point_offset_x": x * 120 / 240 / width,
-        "principal_point_offset_y": y * 120 / 240 / width,
-        "to_world": mi.ScalarTransform4f().translate([x, y, 0]),
-        "film": film(columns, rows),
-    }
-    return np.array(mi.render(scene, sensor=mi.load_dict(sensor), **options))
 
 
 def colour_filters(camera, mosaic):

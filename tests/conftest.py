@@ -27,7 +27,7 @@ import numpy as np  # isort: skip
 from mitsuba_plenoptic import Capture, PlenopticCamera, decode, read_capture, write_capture  # isort: skip
 from mitsuba_plenoptic.extension import installed  # isort: skip
 from mitsuba_plenoptic.views import white_image  # isort: skip
-import cameras  # isort: skip
+import cases  # isort: skip
 
 
 @pytest.hookimpl(wrapper=True)
@@ -91,7 +91,7 @@ def camera_dict():
         return {
             "type": "plenoptic",
             "detector_width": detector_width,
-            "film": cameras.film(resolution, resolution) | (film or {}),
+            "film": cases.film(resolution, resolution) | (film or {}),
             "sampler": {"type": "independent", "sample_count": 16},
             **parameters,
         }

@@ -628,12 +628,7 @@ def particles() -> Image.Image:
 def fitting() -> Image.Image:
     """Fit an array's pitch and offset to a capture with noise of known points."""
     random = np.random.default_rng(4)
-    half: dict[str, Any] = {
-        "focal_length": 40,
-        "aperture_radius": 2.5,
-        "mla_distance": 60,
-        "detector_distance": 0.512,
-    }
+    half: dict[str, Any] = {"focal_length": 40, "aperture_radius": 2.5, "mla_distance": 60, "detector_distance": 0.512}
     truth = mp.PlenopticCamera(detector_width=0.256, resolution=(128, 128), **half)
     nominal = truth.replace(mla_pitch=0.0642, mla_offset=(0.0012, -0.001))
     points = np.column_stack([random.uniform(-0.2, 0.2, (8, 2)), random.uniform(112, 128, 8)])

@@ -1,7 +1,5 @@
 """Surfaces of revolution: spheres, conics and aspheres."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -71,7 +69,7 @@ class Conic(MicrolensShape):
         """Return the gradient of the path; see `MicrolensShape.slopes`."""
         square = x * x + y * y
         rise = 1 / (self.curvature_radius * self._root(square))
-        power: Any = 1.0
+        power = 1.0
         for order, coefficient in enumerate(self.coefficients, 2):
             power = power * square
             rise = rise + 2 * order * coefficient * power

@@ -1,7 +1,5 @@
 """Figure errors of microlens arrays: random optical paths over the whole array."""
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import dataclass
@@ -39,8 +37,8 @@ class FigureError:
 
     def slopes(self, x: Any, y: Any) -> Pair:
         """Return the gradient of the path at positions, in millimetres per millimetre."""
-        across: Any = 0.0
-        up: Any = 0.0
+        across = 0.0
+        up = 0.0
         for _, sine, u, v in self._waves(x, y):
             across = across - sine * u
             up = up - sine * v

@@ -1,7 +1,5 @@
 """Hexagonal lattices; with two different pitches, affine images of hexagonal lattices."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Phases given by samples: diffractive reliefs and metasurfaces."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

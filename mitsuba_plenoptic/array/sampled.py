@@ -1,7 +1,5 @@
 """Surfaces given by samples of their height: freeform and measured ones."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Smooth functions over a cell from samples on a grid: bicubic splines, on NumPy and Dr.Jit."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -170,7 +168,7 @@ class SampledGrid:
         (column, u), (row, v) = self._places(x, y)
         across = _weights(u, derivative[0])
         up = _weights(v, derivative[1])
-        total: Any = 0.0
+        total = 0.0
         for down in (0, 1):
             for right in (0, 1):
                 index = (row + down) * self._samples.shape[1] + column + right

@@ -1,7 +1,5 @@
 """Square lattices; with two different pitches, lattices of rectangles."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from ..runtime import Pair, floor, maximum

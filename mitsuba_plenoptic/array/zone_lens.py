@@ -1,7 +1,5 @@
 """Diffractive lenses given by a formula: kinoforms, Fresnel lenses with zones of one wave."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -17,24 +17,12 @@ import mitsuba as mi
 import numpy as np
 
 from ..array import read_table
-from ..errors import (
-    FULL_TURN,
-    InputError,
-    put,
-    refuse_if,
-    require_count,
-    require_number,
-    short_repr,
-    suggest_keywords,
-)
+from ..errors import FULL_TURN, InputError, put, refuse_if, require_count, require_number, short_repr, suggest_keywords
 from ..runtime import Doubles, Pair, PlainData, known_record, module_of, select, take
 
 _CELLS = 512
 _POINTS = 4
 """Cells across a polygon where cells are asked for, and points across a cell."""
-
-_LARGEST = 512
-"""Most rows and columns of a picture."""
 
 
 _STEPS = 1024
@@ -159,15 +147,15 @@ class Aperture(_Outlined, PlainData):
     def __post_init__(self) -> None:
         name = "transmission"
         # Digits to which values of a picture are kept, as files hold them.
-        values = read_table(name, self.transmission, largest=_LARGEST, most=1, decimals=4)
+        # Most rows and columns of a picture.
+        values = read_table(name, self.transmission, largest=512, most=1, decimals=4)
         rows, columns = values.shape
         refuse_if(rows != columns, f"{name} of shape {values.shape}: it must be square")
         refuse_if(not values.any(), f"{name}: it is 0 everywhere, so that no light passes")
         centres = (2 * np.arange(rows) + 1) / rows - 1
         beyond = (values > 0) & (np.hypot(centres, centres[:, None]) > 1)
         refuse_if(
-            beyond.any(),
-            f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0",
+            beyond.any(), f"{name}: {np.count_nonzero(beyond)} open cells are beyond aperture_radius; they must be 0"
         )
         put(self, transmission=values)
 

@@ -1,7 +1,5 @@
 """Cameras named by ``--camera`` of a command: presets, files of parameters, and parameters as text."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import re
@@ -87,7 +85,7 @@ def _stated(text: str) -> dict[str, Any]:
 
     Values may be lists in brackets or parentheses, or several with commas between.
     """
-    values: dict[str, Any] = {}
+    values = {}
     for name, value in re.findall(r"(\w+)\s*=((?:[^=]*?)(?=,\s*\w+\s*=|$))", text):
         refuse_if(name in values, f"{name} is given twice")
         value = re.sub(r"^\s*\((.*)\)\s*$", r"[\1]", value)

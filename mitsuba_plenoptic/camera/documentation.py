@@ -1,7 +1,5 @@
 """Documentation from the table of a camera's parameters, for the docstrings of the camera and the sensor."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import textwrap
@@ -9,9 +7,6 @@ from typing import Any
 
 from .entry import Captures, Form
 from .parameters import PARAMETERS
-
-_WIDTH = 116
-"""Columns to which docstrings are filled."""
 
 _FLAGS = {Captures.RAYS: "|differentiable|", Captures.EDGES: "|discontinuous|"}
 """Flags of Mitsuba's manual for gradients of ray captures."""
@@ -63,4 +58,5 @@ def _written(default: Any) -> str:
 
 
 def _filled(text: str, first: str, others: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+    # 116: Columns to which docstrings are filled.
+    return textwrap.wrap(text, 116, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)

@@ -1,7 +1,5 @@
 """Commonly used quantities that follow from a camera's parameters: its pupil, lattice, pixels and bins."""
 
-from __future__ import annotations
-
 import math
 from functools import cached_property
 from typing import Any
@@ -425,12 +423,7 @@ class CameraGeometry(CameraParameters):
         return self.lens_data.bin_size(self, distance)
 
 
-_SMALLEST = 20.0
-"""Pitch in wavelengths below which paraxial kernels do not hold."""
-
-_MM_PER_NM = 1e-6
-
-
 def has_small_lenses(camera: CameraGeometry, wavelength: float) -> bool:
     """Return whether a camera's lenses are so small that captures need the responses of photodiodes."""
-    return camera.has_array and min(camera.mla_pitches) < _SMALLEST * wavelength * _MM_PER_NM
+    # Paraxial kernels do not hold for pitches below 20 wavelengths, which are in nanometres.
+    return camera.has_array and min(camera.mla_pitches) < 20 * wavelength * 1e-6

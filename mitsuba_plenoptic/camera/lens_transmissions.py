@@ -10,10 +10,6 @@ from ..array import Lattice, read_table
 from ..errors import put, require_count, require_pair, suggest_keywords
 from ..runtime import PlainData, known_record, module_of, select, take
 
-_LARGEST = 4096
-_BRIGHTEST = 4.0
-"""Most rows and columns of a table, and the largest value."""
-
 _FARTHEST = 10**6
 """Farthest column and row, from lens (0, 0), of the first value."""
 
@@ -47,7 +43,8 @@ class LensTransmissions(PlainData):
     first: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        values = read_table("values", self.values, largest=_LARGEST, most=_BRIGHTEST)
+        # Most rows and columns of a table, and the largest value.
+        values = read_table("values", self.values, largest=4096, most=4.0)
         rows, columns = values.shape
         first_lens = (-(columns // 2), -(rows // 2)) if self.first is None else self.first
         index = partial(require_count, minimum=-_FARTHEST, maximum=_FARTHEST)

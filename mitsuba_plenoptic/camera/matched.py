@@ -5,8 +5,6 @@ are n p wide and as far apart if :math:`D z / b = n p` and :math:`D_2 (b + z) / 
 :math:`n p = D_2 / (1 - D_2 / D)`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from functools import partial

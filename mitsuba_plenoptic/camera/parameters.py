@@ -4,8 +4,6 @@ The record and its constructor, checks, files, scene files, documentation, and t
 gradients and searches work with all read this table. A new parameter is one entry here, and a formula that uses it.
 """
 
-from __future__ import annotations
-
 import math
 from collections import ChainMap
 from collections.abc import Callable, Sequence

@@ -144,8 +144,7 @@ def frozen_flow(
     low, high = COUNTS
     count = math.ceil(min(width / step, 2.0 * high) - 1e-9) + 1
     refuse_if(
-        not low <= count <= high,
-        f"width = {width:g}: it must be {low - 1} to {high - 1} times the step of {step:g}",
+        not low <= count <= high, f"width = {width:g}: it must be {low - 1} to {high - 1} times the step of {step:g}"
     )
     with np.errstate(over="ignore"):
         travel = np.abs(velocity) * interval * (frames - 1) / step

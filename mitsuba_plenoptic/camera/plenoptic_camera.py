@@ -45,9 +45,6 @@ from .geometry import NO_ARRAY_HERE, CameraGeometry
 from .matched import MATCHED, behind_pupil, micrometres, require_enough
 from .parameters import PARAMETERS
 
-_PLACES = 33
-"""Places across a crop at which shifts to chief rays are fitted."""
-
 
 def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
     """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
@@ -541,7 +538,8 @@ class PlenopticCamera(CameraGeometry, Displayed):
         if not self.mla_cra:
             return self
         edges = (self.pixel_coordinates(axis)[[0, -1]] + 0.5 * self.pixel_size * np.array([-1, 1]) for axis in (0, 1))
-        grid = np.stack(np.meshgrid(*(np.linspace(low, high, _PLACES) for low, high in edges)))
+        # Places across a crop at which shifts to chief rays are fitted.
+        grid = np.stack(np.meshgrid(*(np.linspace(low, high, 33) for low, high in edges)))
         shifts = Displacement(chief_rays=self.mla_cra, distance=self.detector_distance, medium=self.mla_medium)
         shift = np.stack(shifts.smooth(*grid))
         middle = grid.mean((1, 2))

@@ -12,10 +12,6 @@ from ..array import read_table
 from ..errors import put, refuse_if, require_number, suggest_keywords
 from ..runtime import Doubles, Floats, PlainData, known_record
 
-_LARGEST = 256
-_MOST = 1.0
-"""Most rows and columns of a table, and the largest fraction."""
-
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
@@ -43,7 +39,8 @@ class StrayLight(PlainData):
     values: Any
 
     def __post_init__(self) -> None:
-        table = read_table("values", self.values, largest=_LARGEST, most=_MOST)
+        # Most rows and columns of a table, and the largest fraction.
+        table = read_table("values", self.values, largest=256, most=1.0)
         # NumPy takes truth values for numbers.
         for value in np.array(self.values, object).flat:
             refuse_if(isinstance(value, bool), f"values = {value}: it must be a number")
@@ -66,4 +63,4 @@ def known_stray_light(value: Any, resolve: Any = str) -> Any:
     """Return stray light as a number, or as a table from any of its forms."""
     if isinstance(value, (str, Path, dict, list, tuple, StrayLight)) or getattr(value, "ndim", 0) > 1:
         return known_record(StrayLight, "stray_light", value, resolve)
-    return require_number("stray_light", value, minimum=0, maximum=_MOST)
+    return require_number("stray_light", value, minimum=0, maximum=1.0)

@@ -5,9 +5,8 @@ refusal, with its reason and what works instead; or a remark why the parameter c
 called where a camera enters a computation, and prints the refusal; docs/reference/models.md prints the whole table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 from ..errors import InputError, short_repr
@@ -35,12 +34,10 @@ _RECORDED = (
     | Use.WHITE_IMAGES
 )
 
-_ARRAY = Condition("behind an array", lambda camera: camera.has_array)
 _NO_ARRAY = Condition("without an array", lambda camera: not camera.has_array)
-_GAPS = Condition("with gaps between lenses", lambda camera: not camera.lattice.fills)
 _TWO_PITCHES = Condition("of two", lambda camera: camera.mla_pitches[0] != camera.mla_pitches[1])
+_GAPS = Condition("with gaps between lenses", lambda camera: not camera.lattice.fills)
 _PRESCRIPTION = Condition("behind a prescription", lambda camera: camera.lens_data.traced_surfaces)
-_OBJECTIVE = Condition("behind an objective", lambda camera: camera.objective is not None)
 _COLLIMATOR = Condition("behind a collimator", lambda camera: camera.has_array and not camera.refocuses)
 _NOT_THIN = Condition("behind other than thin lenses", lambda camera: not camera.lens_data.is_thin)
 _STOP_IMAGE = Condition("with the array in the image of the stop", lambda camera: camera.lens_data.images_stop)
@@ -69,6 +66,10 @@ _UNEQUAL = Condition(
     ),
 )
 
+_of_points = partial(refused, Use.POINT_DERIVATIVES | Use.POINT_RAYS, instead="CaptureOperator.forward")
+_of_small_lenses = partial(refused, Use.SMALL_LENSES)
+_goes_back = partial(refused, _RECONSTRUCTIONS, instead="method ray")
+
 # Reasons that several parameters share.
 _UNEVEN = (
     refused(
@@ -81,7 +82,7 @@ _UNEVEN = (
         "points are summed over an evenly open, round pupil",
         "CaptureOperator.forward, which takes it",
     ),
-    refused(_RECONSTRUCTIONS, "the light goes back through an evenly open, round pupil", "method ray"),
+    _goes_back("the light goes back through an evenly open, round pupil"),
     refused(_ROUND_PUPILS, "the formulas are those of an evenly open, round pupil"),
     refused(
         Use.FULL_FIELDS | Use.POINT_FIELDS,
@@ -95,16 +96,12 @@ _NOT_ROUND = (
         _SCENES,
         "the pupil's table holds one quarter of one round pupil for all lenses",
         "ray captures or CaptureOperator",
-        _ARRAY,
+        Condition("behind an array", lambda camera: camera.has_array),
     ),
     *_UNEVEN,
 )
 _UNEQUAL_LENSES = (
-    refused(
-        Use.POINT_DERIVATIVES | Use.POINT_RAYS,
-        "they are those of equally bright lenses and pupils",
-        "CaptureOperator.forward",
-    ),
+    _of_points("they are those of equally bright lenses and pupils"),
     refused(Use.SMALL_LENSES | Use.FIELD_DERIVATIVES, "the light of one lens stands for that of others", "reconstruct"),
 )
 _UNEVEN_LENSES = approximate(
@@ -114,12 +111,8 @@ _UNEVEN_LENSES = approximate(
 )
 _ZONES = "zones of lenses share the pupil of their middle, and other light than that is divided out"
 _BEHIND_LENSES = (
-    refused(
-        Use.POINT_DERIVATIVES | Use.POINT_RAYS,
-        "they are those of pixels that record all directions alike",
-        "CaptureOperator.forward",
-    ),
-    refused(_RECONSTRUCTIONS, "light goes back from pixels without a weight by direction", "method ray"),
+    _of_points("they are those of pixels that record all directions alike"),
+    _goes_back("light goes back from pixels without a weight by direction"),
 )
 _NO_DERIVATIVE = refused(
     Use.SCENE_DERIVATIVES, "rays fixed in the scene are traced again through plain thin lenses alone", "differences"
@@ -128,9 +121,6 @@ _MORE_TERMS = approximate(
     _GEOMETRY,
     "rays go back through an ideal main lens and the centres of microlenses; depth maps correct for aberrations",
 )
-_ALONE_BY_RAYS = refused(
-    _RECONSTRUCTIONS, "the light goes back through smooth lenses without it", "method ray, which ignores it"
-)
 _STAYS = "it stays in the image, whose brightness is corrected"
 _MIXES = (
     approximate(Use.RESPONSES, f"deconvolved inverts it; of incoherent {_STAYS}"),
@@ -138,9 +128,7 @@ _MIXES = (
 )
 _BEFORE_DETECTOR = (
     refused(
-        Use.POINT_FIELDS | Use.COHERENT_POINTS,
-        "they are the light before the detector",
-        "CaptureOperator.forward",
+        Use.POINT_FIELDS | Use.COHERENT_POINTS, "they are the light before the detector", "CaptureOperator.forward"
     ),
     refused(Use.WAVEFRONTS, "they are the light before the detector"),
     refused(Use.POINT_RAYS, "they are the light before the detector", "waves of points"),
@@ -150,11 +138,7 @@ _DISPERSES = (
     approximate(Use.RAY_SPREADS, "without a wavelength rays see the focal length at the line d"),
     approximate(_GEOMETRY, "rays go back with the focal length at the line d"),
     refused(Use.POINT_RAYS, "rays of points have no wavelength", "waves of points"),
-    refused(
-        Use.POINT_DERIVATIVES,
-        "they are those of fixed focal lengths",
-        "the camera's at_wavelength",
-    ),
+    refused(Use.POINT_DERIVATIVES, "they are those of fixed focal lengths", "the camera's at_wavelength"),
     _NO_DERIVATIVE,
 )
 
@@ -172,7 +156,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_distance": (),
     "focus_distance": (),
     "mla_focal_length": (),
-    "mla_pitch": (refused(Use.SMALL_LENSES, "a lens must cover square pixels", "one pitch", _TWO_PITCHES),),
+    "mla_pitch": (_of_small_lenses("a lens must cover square pixels", "one pitch", _TWO_PITCHES),),
     "mla_lattice": (
         refused(
             Use.SCENE_POINTS
@@ -187,9 +171,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "",
             _NO_ARRAY,
         ),
-        refused(Use.SMALL_LENSES, "a lens must cover square pixels", "square"),
+        _of_small_lenses("a lens must cover square pixels", "square"),
     ),
-    "mla_rotation": (refused(Use.SMALL_LENSES, "a lens must cover upright pixels"),),
+    "mla_rotation": (_of_small_lenses("a lens must cover upright pixels"),),
     "mla_offset": (),
     "mla_tilt": (
         refused(
@@ -203,7 +187,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "mla_aperture": (
         no_effect(_WHITE, "near the microlenses' focus the pupil's image does not depend on a lens's width"),
         refused(Use.POINT_RAYS, "rays of points are drawn over arrays without gaps only", "waves of points", _GAPS),
-        refused(Use.SMALL_LENSES, "their kernels are those of square lenses"),
+        _of_small_lenses("their kernels are those of square lenses"),
     ),
     "mla_fill": (
         no_effect(_WHITE, "near the microlenses' focus the pupil's image does not depend on a lens's width"),
@@ -231,17 +215,10 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         _NO_DERIVATIVE,
     ),
     "mla_medium": (refused(Use.CALIBRATION, "it is not told from other distances"),),
-    "mla_absorption": (
-        *_BEHIND_LENSES,
-        _NO_DERIVATIVE,
-    ),
+    "mla_absorption": (*_BEHIND_LENSES, _NO_DERIVATIVE),
     "mla_shape": (
-        refused(_RECONSTRUCTIONS, "the light goes back through parabolic microlenses", "method ray"),
-        refused(
-            Use.POINT_DERIVATIVES | Use.POINT_RAYS,
-            "they are those of parabolic microlenses",
-            "CaptureOperator.forward",
-        ),
+        _goes_back("the light goes back through parabolic microlenses"),
+        _of_points("they are those of parabolic microlenses"),
         refused(Use.CALIBRATION, "they find the focal lengths of parabolic microlenses"),
         approximate(_GEOMETRY, "the lenses count as parabolas of their focal length"),
         _NO_DERIVATIVE,
@@ -258,7 +235,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "the phases on the pupil are those of images without it",
             "captures of scenes",
         ),
-        refused(_RECONSTRUCTIONS, "the light goes back to undistorted images", "method ray, which ignores it"),
+        _goes_back("the light goes back to undistorted images", instead="method ray, which ignores it"),
         _MORE_TERMS,
         _NO_DERIVATIVE,
     ),
@@ -271,11 +248,9 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         approximate(Use.SCENES, "by its slopes, which must vary little between points of the pupil that interfere"),
         _NO_DERIVATIVE,
         refused(
-            _PATCHES | Use.POINT_RAYS,
-            "patches sample smooth phases only",
-            "CaptureOperator with method full_field",
+            _PATCHES | Use.POINT_RAYS, "patches sample smooth phases only", "CaptureOperator with method full_field"
         ),
-        refused(_RECONSTRUCTIONS, "the light goes back through a lens without it", "method ray, which ignores it"),
+        _goes_back("the light goes back through a lens without it", instead="method ray, which ignores it"),
         _MORE_TERMS,
     ),
     "mla_jitter": (
@@ -289,7 +264,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
         refused(_STRAIGHT, "the light is that of a regular array", "reconstruct", _PLACES),
         approximate(Use.FIELDS, "lenses count as equal; micro-images are moved back to regular places"),
         approximate(_GEOMETRY, "lenses count as equal and, when decoding, as regular"),
-        refused(Use.SMALL_LENSES, "their responses repeat with the lenses"),
+        _of_small_lenses("their responses repeat with the lenses"),
         _NO_DERIVATIVE,
     ),
     "mla_warp": (
@@ -299,17 +274,15 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "they are those of a regular lattice",
             "differences",
         ),
-        refused(Use.SMALL_LENSES, "their responses repeat with the lenses"),
+        _of_small_lenses("their responses repeat with the lenses"),
         _NO_DERIVATIVE,
     ),
     "mla_figure_error": (
         refused(_SCENES, "kernels are those of smooth microlenses", "ray captures, or CaptureOperator in full fields"),
         refused(
-            _PATCHES | Use.POINT_RAYS,
-            "patches treat the array as periodic",
-            "CaptureOperator with method full_field",
+            _PATCHES | Use.POINT_RAYS, "patches treat the array as periodic", "CaptureOperator with method full_field"
         ),
-        _ALONE_BY_RAYS,
+        _goes_back("the light goes back through smooth lenses without it", instead="method ray, which ignores it"),
         approximate(_GEOMETRY, "lenses count as perfect"),
     ),
     "mla_seed": (),
@@ -320,10 +293,8 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             "apertures keep their size: lenses whose cells shrink by one per cent record one per cent too much",
         ),
         approximate(_RECONSTRUCTIONS | _GEOMETRY | _REGULAR, "the lenses are those of the nearest regular array"),
-        refused(
-            Use.POINT_RAYS | Use.POINT_DERIVATIVES,
-            "they are those of a regular lattice, from which lenses are displaced by a hundredth of a pixel or more",
-            "CaptureOperator.forward",
+        _of_points(
+            "they are those of a regular lattice, from which lenses are displaced by a hundredth of a pixel or more"
         ),
         _NO_DERIVATIVE,
     ),
@@ -339,11 +310,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
     "pixel_crosstalk": (*_BEFORE_DETECTOR, *_MIXES),
     "stray_light": (*_BEFORE_DETECTOR, *_MIXES),
     "stray_width": _MIXES,
-    "pixel_response": (
-        *_BEHIND_LENSES,
-        refused(Use.SMALL_LENSES, "the responses contain it"),
-        _NO_DERIVATIVE,
-    ),
+    "pixel_response": (*_BEHIND_LENSES, _of_small_lenses("the responses contain it"), _NO_DERIVATIVE),
     "main_lens": (
         approximate(Use.RESPONSES, _ZONES, _PRESCRIPTION),
         refused(
@@ -375,7 +342,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Use.SCENE_POINTS | Use.POINT_DERIVATIVES | Use.SMALL_LENSES | Use.FITS | Use.SPREAD_BANKS,
             "points before an objective lie about its native plane, and the computation is of distances from a lens",
             "",
-            _OBJECTIVE,
+            Condition("behind an objective", lambda camera: camera.objective is not None),
         ),
         refused(
             Use.FITS | Use.SPREAD_BANKS | Use.LENS_CENTRES | Use.CALIBRATION,
@@ -409,10 +376,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             _NOT_THIN,
         ),
         refused(
-            Use.DECODING,
-            "captures are decoded by the centre of a thin lens's pupil",
-            "reconstructions",
-            _PRESCRIPTION,
+            Use.DECODING, "captures are decoded by the centre of a thin lens's pupil", "reconstructions", _PRESCRIPTION
         ),
         refused(
             Use.LENS_CENTRES | Use.CALIBRATION | Use.FIELD_DERIVATIVES,

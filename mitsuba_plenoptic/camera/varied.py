@@ -1,16 +1,11 @@
 """A camera with values varied in what states it: parameters, or the numbers of a data sheet."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
 from ..errors import refuse_if, relation
 from .matched import FOLLOWING, MATCHED, missing_from
 from .plenoptic_camera import PlenopticCamera
-
-_TOUCHING = 1e-3
-"""Relative difference of width and distance of micro-images that touch; sensors have numbers of single precision."""
 
 _EITHER = (
     ("focus_distance", "mla_distance"),
@@ -55,8 +50,9 @@ def _sheet_of(stated: Mapping[str, Any], of_sheet: list[str], varied: Mapping[st
     )
     width = camera.micro_image_diameter
     pitch = camera.micro_image_pitch
+    # Sensors have numbers of single precision.
     refuse_if(
-        abs(width / pitch - 1) > _TOUCHING or camera.is_cropped,
+        abs(width / pitch - 1) > 1e-3 or camera.is_cropped,
         f"{of_sheet[0]}: micro-images of {width:.4g} mm are {pitch:.4g} mm apart: {', '.join(MATCHED)} state whole "
         f"cameras whose micro-images touch{instead}",
     )

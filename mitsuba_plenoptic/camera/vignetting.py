@@ -18,9 +18,6 @@ _MAP_DEGREES = {0: 1, 3: 2, 7: 3, 12: 4, 18: 5, 25: 6}
 _LARGEST = 100.0
 """Size of a coefficient at most."""
 
-_NARROWEST = 1e-4
-"""Smallest radius of an outline, over the pupil's."""
-
 
 @suggest_keywords
 @dataclass(frozen=True, eq=False)
@@ -124,8 +121,8 @@ class Vignetting(PlainData):
     def _within(self, px: Any, py: Any, x: Any, y: Any) -> tuple[Any, Any, Any, Any]:
         """Return r^2, its root's limit, the outline's radius, and the transmission regardless of the outline."""
         n = self.at(x, y)
-        # Far beyond the detector polynomials may have any value.
-        radius = module_of(px * x).maximum(n["radius"], _NARROWEST)
+        # Far beyond the detector polynomials may have any value; 1e-4 is the smallest radius, over the pupil's.
+        radius = module_of(px * x).maximum(n["radius"], 1e-4)
         u = ((1 - n["ellipse_x"]) * px - n["ellipse_y"] * py) / radius
         v = ((1 + n["ellipse_x"]) * py - n["ellipse_y"] * px) / radius
         square = u * u + v * v
@@ -135,7 +132,7 @@ class Vignetting(PlainData):
         terms = monomials(u, v, exponents(_MAP_DEGREES[len(self.transmission)], 2))
         for coefficient, term in zip(self.transmission, terms, strict=True):
             value = value + coefficient * term
-        edge: Any = 1.0
+        edge = 1.0
         if self.harmonics:
             length = types.sqrt(types.maximum(square, 1e-12))
             cosine = u / length

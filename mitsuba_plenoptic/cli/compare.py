@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic compare``: a scene by rays and by waves, refocused by every method."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

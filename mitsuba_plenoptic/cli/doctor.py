@@ -1,19 +1,13 @@
 """``mitsuba-plenoptic doctor``: the state of the installation."""
 
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import typer
 
 from .options import Json
 
 
-def doctor(
-    *,
-    as_json: Json = False,
-) -> None:
+def doctor(*, as_json: Json = False) -> None:
     """Check the installation: versions, LLVM, Mitsuba variants, threads and GPU.
 
     Each variant that may work renders a triangle in a process of its own, which takes some seconds. The exit status is
@@ -24,7 +18,7 @@ def doctor(
     installation = inspect_installation()
     if as_json:
         sections = {title: dict(lines) for title, lines in installation.sections.items()}
-        facts: dict[str, Any] = {
+        facts = {
             "ready": installation.ready,
             "verdict": installation.verdict,
             "problem": installation.problem,

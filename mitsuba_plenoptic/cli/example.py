@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic example``: a finished capture to try the other commands on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -12,11 +10,7 @@ from ..choices import Example
 from . import options
 
 
-def example(
-    name: Example,
-    *,
-    output: Annotated[Path, options.ends_in(".exr")] | None = None,
-) -> None:
+def example(name: Example, *, output: Annotated[Path, options.ends_in(".exr")] | None = None) -> None:
     """Write a finished capture, with its ground truth next to it, to try the other commands on.
 
     All are by one camera of 48 x 48 microlenses. The letters are at 210, 240 and 280 mm; white is a luminous wall, for

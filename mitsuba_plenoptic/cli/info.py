@@ -24,7 +24,6 @@ from .inputs import load_camera, parse_definitions, refuse_options, require_png
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ..io import Capture
     from ..report import Row
 
 
@@ -119,7 +118,12 @@ def camera(
         cell = subject.row_pitch if subject.has_array else 0.0
         main_lens_figure(main_lens(subject), subject.focus_distance, cell).save(drawing, dpi)
     facts: dict[str, Any] = {"camera": subject.to_dict(), "warnings": design_warnings(subject, wavelength)}
-    facts["capture"] = _origin(capture) if capture else {}
+    facts["capture"] = {}
+    if capture is not None:
+        # How it was made, as far as its header states it.
+        noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
+        stated = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
+        facts["capture"] = {name: value for name, value in stated.items() if value not in (None, "")}
     if fix is not None:
         better = mended(subject, wavelength)
         write_text(fix, better.to_json(), ".json")
@@ -223,10 +227,3 @@ def _shown(facts: dict[str, Any], rows: list[Row], as_json: bool) -> Console | N
     console = Console(highlight=False)
     console.print(table)
     return console
-
-
-def _origin(capture: Capture) -> dict[str, Any]:
-    """Return the facts of how a capture was made, as far as its header states them."""
-    noise = None if capture.noise is None else f"{capture.relative_noise:.2%} of the mean"
-    facts = {"model": capture.model, "wavelength": capture.wavelength, "noise": noise, **capture.metadata}
-    return {name: value for name, value in facts.items() if value not in (None, "")}

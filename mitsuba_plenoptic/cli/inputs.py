@@ -106,10 +106,7 @@ def require_linear(linear: bool, *paths: Path | None) -> None:
 
 
 def light_field(
-    source: Path,
-    options: Mapping[str, Any],
-    camera: PlenopticCamera | None,
-    truth: Path | bool = False,
+    source: Path, options: Mapping[str, Any], camera: PlenopticCamera | None, truth: Path | bool = False
 ) -> xr.DataArray:
     """Return the light field that a command reads, by its options `LightField`."""
     from ..views import open_light_field
@@ -272,7 +269,7 @@ def colours_of_film(scene: str, parameters: dict[str, str]) -> str | None:
     from ..scene import scene_defaults
 
     roots = scene_roots(scene, parameters)
-    formats: list[str] = []
+    formats = []
     for film in [node for root in roots for node in root.iter("film")] or [Element("film", type="hdrfilm")]:
         named = [node.get("value", "") for node in film.iter("string") if node.get("name") == "pixel_format"]
         formats += named or (["rgb"] if film.get("type") == "hdrfilm" else [])

@@ -1,7 +1,5 @@
 """Commands on light fields: ``views``, ``epi``, ``stack``, ``depth``, and ``convert`` to other formats."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Literal
@@ -43,11 +41,11 @@ def views(
     $ mitsuba-plenoptic views raw.exr -o centre.png --count 1
     $ mitsuba-plenoptic views raw.exr -o orbit.gif
     """
-    from ..report import require_picture_path, write_orbit, write_views
-    from ..runtime import require_apart
+    from ..report import write_orbit, write_views
+    from ..runtime import require_output
     from ..views import pick_views
 
-    require_apart(require_picture_path(output, animated=True), source, light["white"], truth)
+    require_output(output, source, light["white"], truth)
     drawing = drawing_of(picture, output)
     lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if count is not None:
@@ -90,11 +88,11 @@ def epi(
     --------
     $ mitsuba-plenoptic epi raw.exr -o epi.png --at 2.5
     """
-    from ..report import require_picture_path, write_epipolar_image
-    from ..runtime import require_apart
+    from ..report import write_epipolar_image
+    from ..runtime import require_output
     from ..views import epipolar_image
 
-    require_apart(require_picture_path(output), source, light["white"])
+    require_output(output, source, light["white"])
     drawing = drawing_of(picture, output)
     lf = light_field(source, light, named_camera(light["camera"]))
     image = epipolar_image(lf, axis, at=at, through=through)
@@ -138,11 +136,11 @@ def stack(
     by, planes = ("distance", distance) if distance else ("disparity", disparity or [])
 
     # Brings libraries that take a while to load.
-    from ..report import require_picture_path, sweep_distances, write_focal_sweep, write_stack
-    from ..runtime import require_apart
+    from ..report import sweep_distances, write_focal_sweep, write_stack
+    from ..runtime import require_output
     from ..views import focal_stack
 
-    require_apart(require_picture_path(output, animated=True), source, light["white"])
+    require_output(output, source, light["white"])
     drawing = drawing_of(picture, output)
     lf = light_field(source, light, camera_of_option)
     animated = output.suffix.lower() in ANIMATED
@@ -196,11 +194,11 @@ def depth(
     --------
     $ mitsuba-plenoptic depth raw.exr -o depth.exr --near 195 --far 310
     """
-    from ..report import require_picture_path, write_depth
-    from ..runtime import require_apart
+    from ..report import write_depth
+    from ..runtime import require_output
     from ..views import beyond_search, depth_error, depth_map, is_focused, open_micro_images
 
-    require_apart(require_picture_path(output), source, light["white"], truth)
+    require_output(output, source, light["white"], truth)
     drawing = drawing_of(picture, output)
     camera_of_option = named_camera(light["camera"])
     lf = light_field(source, light, camera_of_option, truth or True)
@@ -274,16 +272,14 @@ def convert(
     if format is None:
         require_suffix(output, LIGHT_FIELDS)
     from ..extension import format_of, place
-    from ..runtime import require_apart, require_writable
+    from ..runtime import require_output
     from ..views import HCI, save_light_field
 
     writer = None
-    if format is None:
-        require_writable(output, *LIGHT_FIELDS)
-    else:
+    if format is not None:
         writer = format_of(HCI, "light field", f"format = {format}", write=True)
         refuse_if(output.exists() and not output.is_dir(), f"{output}: it is a file; name a folder")
-    require_apart(output, source, light["white"], truth)
+    require_output(output, source, light["white"], truth, is_folder=format is not None)
     lf = light_field(source, light, named_camera(light["camera"]), truth or True)
     if writer is not None:
         depth_of_views = lf.coords.get("virtual_depth", lf.coords.get("depth"))

@@ -57,8 +57,6 @@ resume
     left itself with and without this.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -3,8 +3,6 @@
 Commands import the library in their bodies, so that help, completion and refused options need not wait for it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import importlib
@@ -97,10 +95,7 @@ class _Commands(TyperGroup):
 def command_group() -> Any:
     """Return the command with its subcommands, none of which is imported."""
     application = typer.Typer(
-        cls=_Commands,
-        rich_markup_mode="rich",
-        pretty_exceptions_enable=False,
-        context_settings=_HELP,
+        cls=_Commands, rich_markup_mode="rich", pretty_exceptions_enable=False, context_settings=_HELP
     )
     application.callback(invoke_without_command=True)(_root)
     root: Any = typer.main.get_command(application)
@@ -183,12 +178,7 @@ _FOR_ALL: dict[str, Any] = {
     name: Annotated[
         bool,
         typer.Option(
-            f"-{name[0]}",
-            f"--{name}",
-            help=text,
-            callback=callback,
-            is_eager=True,
-            rich_help_panel="Every command",
+            f"-{name[0]}", f"--{name}", help=text, callback=callback, is_eager=True, rich_help_panel="Every command"
         ),
     ]
     for name, text, callback in (
@@ -297,7 +287,7 @@ def _interrupts() -> Iterator[None]:
         raise KeyboardInterrupt
 
     # Other handlers, and threads that receive no signals, keep what they have.
-    before: dict[int, Any] = {}
+    before = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.getsignal(number) for number in STOPS}
     ours = [number for number, handler in before.items() if handler in (signal.default_int_handler, signal.SIG_DFL)]

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 
 def _method_options() -> dict[str, Any]:
     """Return an option of the command for each argument that only some methods take."""
-    command_options: dict[str, Any] = {}
+    command_options = {}
     for name, option in all_options().items():
         flag = bool in option.types
-        kind: Any = str | None if str in option.types else option.types[0] | None
+        kind = str | None if str in option.types else option.types[0] | None
         command_options[name] = Annotated[
             kind,
             typer.Option(
@@ -101,7 +101,7 @@ def reconstruct(
     from .. import refocus as reconstruction
     from ..refocus import registered, require_volume_path, used_by
     from ..report import reconstruction_paths, write_reconstructions
-    from ..runtime import GIB, require_apart
+    from ..runtime import GIB, require_output
 
     chosen = registered(method)
     if estimate:
@@ -132,7 +132,7 @@ def reconstruct(
         require_volume_path(output, distance)
     written = paths or [output]
     for path in written:
-        require_apart(path, capture, white)
+        require_output(path, capture, white)
     recorded, reference = _recorded(capture, white, camera_of_option, linear, variant)
     saved = checkpoint_of(output, bool(resume)) if chosen.long else None
     with saved or nullcontext(), batches_on(workers, scheduler) as batch_map:
@@ -188,9 +188,9 @@ def sheet(
     """
     from ..refocus import read_reconstruction
     from ..report import images
-    from ..runtime import require_apart, require_writable
+    from ..runtime import require_output
 
-    require_apart(require_writable(output), *results)
+    require_output(output, *results)
     require_png(dpi, output)
     read = [read_reconstruction(path) for path in results]
     there = sorted({result.distance for result in read})

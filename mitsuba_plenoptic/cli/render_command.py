@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic render`` and ``expose``: captures of scenes, and what a real detector records."""
 
-from __future__ import annotations
-
 import time
 from contextlib import nullcontext
 from dataclasses import replace
@@ -205,9 +203,9 @@ def expose(
     from ..detector import Detector
     from ..detector import expose as record
     from ..io import read_capture, write_capture, write_raw
-    from ..runtime import require_apart, require_writable
+    from ..runtime import require_output
 
-    require_apart(require_writable(output), capture)
+    require_output(output, capture)
     exposed = record(read_capture(capture), Detector(**detector), **exposure)
     (write_raw if output.suffix.lower() in RAW_SUFFIXES else write_capture)(output, exposed)
     electrons = detector["quantum_efficiency"] * exposure["photons"]

@@ -4,8 +4,6 @@ Docstrings, and the library's signatures, are read in the text of their modules,
 need not wait for the library. Python may keep no docstrings (-OO).
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import inspect

@@ -12,8 +12,6 @@ from ..runtime import ProgressBar, in_words, is_quiet, moving_bar, plain_lines
 from .program import StoppedError, checkpoints, stoppable
 
 if TYPE_CHECKING:
-    from rich.progress import TaskID
-
     from ..io import Checkpoint, StageOptions
 
 _log = logging.getLogger(__name__)
@@ -53,7 +51,7 @@ def stage_lines(resume: bool) -> Iterator[StageOptions]:
     from ..io import StageOptions
 
     with moving_bar() as bar, plain_lines("starting") as line, resumable():
-        tasks: dict[str, TaskID] = {}
+        tasks = {}
 
         def notify(name: str, done: int, total: int) -> None:
             if name not in tasks:

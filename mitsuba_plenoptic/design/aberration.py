@@ -11,13 +11,9 @@ from ..errors import require_wavelength
 from ..lenses import main_lens
 from .quantities import best_distances
 
-_RINGS = 33
 _SPOKES = 24
 _HEIGHTS = 5
-"""Radii and angles on the pupil, and image heights from the axis to the farthest pixel."""
-
-_FAR = 1e4
-"""Distance of objects at infinity, over that of the main lens from the array."""
+"""Angles on the pupil, and image heights from the axis to the farthest pixel."""
 
 
 def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
@@ -48,15 +44,16 @@ def parabolic_aberration(camera: PlenopticCamera, wavelength: float) -> float:
         return 0.0
     at_wavelength = camera.at_wavelength(wavelength)
     distances = [g for g in best_distances(at_wavelength) if g > at_wavelength.focal_length]
+    # 1e4: Distance of objects at infinity, over that of the main lens from the array.
     return max(
-        (_peak_to_valley(at_wavelength, min(g, _FAR * at_wavelength.mla_distance), wavelength) for g in distances),
+        (_peak_to_valley(at_wavelength, min(g, 1e4 * at_wavelength.mla_distance), wavelength) for g in distances),
         default=0.0,
     )
 
 
 def _peak_to_valley(camera: PlenopticCamera, distance: float, wavelength: float) -> float:
     """Return the difference between greatest and smallest path over the pupil, for points at a distance."""
-    square = np.linspace(0, 1, _RINGS)[:, None]
+    square = np.linspace(0, 1, 33)[:, None]
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (camera.aperture_radius * (np.sqrt(square) * turn(angle)).ravel() for turn in (np.cos, np.sin))
     # By the trapezoidal rule over the area.

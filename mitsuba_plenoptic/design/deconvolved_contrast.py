@@ -76,8 +76,6 @@ def resolution_limit(camera: PlenopticCamera, distance: float, wavelength: float
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance from the main lens in millimetres, or depth beyond an objective's native object plane; at
         infinity line pairs count per unit of slope.

@@ -47,11 +47,6 @@ def focus_types(camera: PlenopticCamera) -> tuple[str, ...]:
     - ``galilean``: on the main lens's image, a virtual one behind the detector, where it would be without the MLA;
       :math:`z < f_2`. These two make the "focused plenoptic camera" or "2.0" (Lumsdaine and Georgiev 2009, "The
       focused plenoptic camera"; Perwass and Wietzke 2012, "Single lens 3D-camera with extended depth-of-field").
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
     """
     # Rounding must not take a lens out of focus.
     limit = camera.pixel_size * (1 + 1e-9)
@@ -69,11 +64,6 @@ def mla_object_distances(camera: PlenopticCamera) -> tuple[float, ...]:
     """Distance a before the MLA, in mm, of the plane that each type of microlens images sharply on the detector.
 
     :math:`1/a + n/z = n/f_2`; negative for a virtual image behind the MLA, infinite for :math:`z = f_2`.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
     """
     return tuple(conjugate_distance(f2, camera.reduced_distance) for f2 in camera.reduced_focal_lengths)
 
@@ -83,11 +73,6 @@ def best_distances(camera: PlenopticCamera) -> tuple[float, ...]:
 
     For an unfocused type the distance is `PlenopticCamera.focus_distance`. It is infinite or negative where no such
     plane exists.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
     """
     return tuple(conjugate_distance(camera.focal_length, image) for image in best_images(camera))
 
@@ -109,8 +94,6 @@ def virtual_depth(camera: PlenopticCamera, distance: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance from the main lens in millimetres.
     """
@@ -165,12 +148,8 @@ def lens_footprint(camera: PlenopticCamera, distance: float, mla_focal_length: f
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance from the main lens in millimetres.
-    mla_focal_length : float
-        Focal length of the microlens in millimetres.
+    distance, mla_focal_length : float
+        Object distance from the main lens, and focal length of the microlens, in millimetres.
     """
     if (lens := camera.objective) and lens.images_stop:
         # Of the object's points that a pixel sees, over the lens's; slopes in the object as those near the axis.
@@ -187,8 +166,6 @@ def pixel_footprint(camera: PlenopticCamera, distance: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance from the main lens in millimetres.
     """
@@ -206,8 +183,6 @@ def lenses_across(camera: PlenopticCamera, distance: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance from the main lens in millimetres.
     """
@@ -222,12 +197,8 @@ def effective_resolution(
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance from the main lens in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
+    distance, wavelength : float
+        Object distance from the main lens in millimetres, and wavelength in nanometres.
     """
     image_distance(camera.focal_length, require_number("distance", distance))
     spot = pixel_footprint(camera, distance) * finest_detail(camera, wavelength) / camera.pixel_size
@@ -250,8 +221,6 @@ def spot_radius(camera: PlenopticCamera, wavelength: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float
         Wavelength in nanometres.
     """
@@ -280,8 +249,6 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float
         Wavelength in nanometres.
 
@@ -303,10 +270,7 @@ def refocus_range(camera: PlenopticCamera, wavelength: float | None = None) -> t
     base = camera.mla_distance / camera.focal_length - 1
     near = base + max(ends)
     far = base + min(ends)
-    return (
-        camera.mla_distance / near if near > 0 else math.inf,
-        camera.mla_distance / far if far > 0 else math.inf,
-    )
+    return (camera.mla_distance / near if near > 0 else math.inf, camera.mla_distance / far if far > 0 else math.inf)
 
 
 def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> list[tuple[float, float] | None]:
@@ -318,8 +282,6 @@ def depth_ranges(camera: PlenopticCamera, wavelength: float | None = None) -> li
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float
         Wavelength in nanometres.
 
@@ -370,12 +332,8 @@ def suitable_oversample(camera: PlenopticCamera, distance: float, wavelength: fl
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
-    distance : float
-        Object distance from the main lens in millimetres.
-    wavelength : float
-        Wavelength in nanometres.
+    distance, wavelength : float
+        Object distance from the main lens in millimetres, and wavelength in nanometres.
     """
     return max(1, math.floor(effective_resolution(camera, distance, wavelength).samples_per_lens + 1e-6))
 
@@ -426,11 +384,6 @@ def white_mean(camera: PlenopticCamera) -> float:
     A micro-image of area :math:`(\pi/4)(D_1 z / b)^2` reads 1 whatever its lens's aperture, because a pixel is the mean
     radiance over the aperture, less what the main lens's `aperture` keeps out; each :math:`A ((b + z)/b)^2` of the
     detector holds one, A being the area of a cell of the lattice.
-
-    Parameters
-    ----------
-    camera : PlenopticCamera
-        The camera.
     """
     growth = camera.micro_image_pitch / camera.row_pitch
     return camera.aperture.share * math.pi / 4 * camera.micro_image_diameter**2 / (camera.lattice.cell_area * growth**2)
@@ -446,8 +399,6 @@ def crosstalk_neighbours(camera: PlenopticCamera, beyond: float = 0.0) -> np.nda
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     beyond : float
         Width in millimetres of the margin.
 

@@ -46,8 +46,6 @@ def mended(camera: PlenopticCamera, wavelength: float | None = None) -> Plenopti
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float, optional
         Wavelength in nanometres, for warnings about diffraction.
     """

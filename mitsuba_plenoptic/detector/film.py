@@ -1,7 +1,5 @@
 """The film of a plenoptic sensor, whose pixels record light through a detector, and extra outputs of rays that pass."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable

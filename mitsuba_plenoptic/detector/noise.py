@@ -5,8 +5,6 @@ The estimate uses the spread of at most sixteen passes, so the value of each pix
 order by a factor for each pixel; it reduces the estimate as well.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -16,9 +16,6 @@ from ..camera import PlenopticCamera, StrayLight
 SHARP: dict[str, Any] = {"detector_blur": 0.0, "pixel_crosstalk": 0.0, "stray_light": 0.0, "stray_width": None}
 """Parameters of a camera whose pixels record the light that falls on them."""
 
-# Width in pixels of a Gaussian whose samples are 1.
-_NARROWEST = 0.02
-
 
 @dataclass(frozen=True, eq=False)
 class DetectorOperator:
@@ -157,4 +154,5 @@ def _gaussian(deviation: float) -> tuple[float, ...]:
     def excess(width: float) -> float:
         return float(samples(width) @ steps**2) - deviation**2
 
-    return tuple(samples(scipy.optimize.brentq(excess, _NARROWEST, deviation + 1)).tolist())
+    # 0.02: Width in pixels of a Gaussian whose samples are 1.
+    return tuple(samples(scipy.optimize.brentq(excess, 0.02, deviation + 1)).tolist())

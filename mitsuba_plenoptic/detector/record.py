@@ -6,7 +6,6 @@ import math
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,12 +26,8 @@ from ..io import Capture, read_if_path, recording_of, require_demosaiced
 from ..runtime import Array, Integers
 
 # Bounds of what is counted or multiplied, so that no product leaves what a float holds.
-_SMALLEST = 1e-9
 _LARGEST = 1e9
-_positive = partial(require_number, positive=True, minimum=_SMALLEST, maximum=_LARGEST)
-
-# Values of the image that are exposed at once, at most.
-_CHUNK = 2**22
+_positive = partial(require_number, positive=True, minimum=1e-9, maximum=_LARGEST)
 
 
 @suggest_keywords
@@ -183,7 +178,7 @@ def expose(
     refuse_if(recording_of(capture), "capture: a detector has recorded it already; expose what was rendered")
     image = capture.image
     wavelength = capture.wavelength
-    extra: dict[str, Any] = {}
+    extra = {}
     if detector.mosaic is not None:
         refuse_if(
             image.ndim != 3 or image.shape[2] != 3,
@@ -195,7 +190,8 @@ def expose(
     assert detector.gain is not None and detector.black_level is not None
     result = np.empty_like(image)
     saturated = 0
-    rows = max(1, _CHUNK // (image[0].size))
+    # Values of the image that are exposed at once, at most.
+    rows = max(1, 2**22 // (image[0].size))
     for start in range(0, len(image), rows):
         light = image[start : start + rows].astype(np.float64)
         numbers, full = detector._exposed(photons * np.maximum(light, 0), generator)

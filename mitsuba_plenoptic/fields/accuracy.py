@@ -1,7 +1,5 @@
 """Numbers that settle how exactly fields behind microlenses are described."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -119,11 +119,7 @@ def microlenses(
 
 
 def converging(
-    step: Step,
-    camera: PlenopticCamera,
-    wavelength: float,
-    interleave: int = 1,
-    subset: tuple[int, int] | None = None,
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] | None = None
 ) -> Element:
     """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
     b = camera.mla_distance

@@ -5,8 +5,6 @@ depend only on the indices and a seed, so that a lens is the same in all computa
 standard deviations.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

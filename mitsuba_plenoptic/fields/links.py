@@ -95,11 +95,7 @@ class Hop:
     """
 
     def __init__(
-        self,
-        step: Step,
-        space: FreeSpace,
-        element: Element | None = None,
-        check: Callable[[Watch], None] | None = None,
+        self, step: Step, space: FreeSpace, element: Element | None = None, check: Callable[[Watch], None] | None = None
     ) -> None:
         self.step, self._space, self._element, self._check = step, space, element or Element(step), check
 

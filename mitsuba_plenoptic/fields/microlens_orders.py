@@ -100,7 +100,7 @@ class ArrayFactor(ABC):
         if len(places) == 2 and camera.mla_rotation != 0:
             places = turn(*places, dr.opaque(types.Float64, -camera.mla_rotation))
         nodes = [_node(*axis_numbers) for axis_numbers in zip(places, self.periods, self._shape[::-1], strict=True)]
-        terms: list[Any] = [(0, 1)]
+        terms = [(0, 1)]
         for (node, fraction), count in zip(nodes[::-1], self._shape, strict=True):
             row_length = dr.opaque(types.UInt32, count + 2)
             remainder = 1 - fraction
@@ -315,7 +315,7 @@ class MicrolensArray:
 
         The integral of its product with a function limited to these directions, such as an intensity, is exact.
         """
-        product: Any = 1
+        product = 1
         for factor in self._holes.factors(cosine):
             product = factor.at(*((x, y)[axis] for axis in factor.axes)) * product
         return product.real
@@ -351,7 +351,7 @@ class VaryingArrayFactor:
 
     def at(self, *coordinates: Any) -> Any:
         """Return the factor at Dr.Jit float64 coordinates along its axes, as Complex2f."""
-        numbers: dict[ArrayParameter, Any] = {}
+        numbers = {}
         periods = self.lattice.period(len(self.focal_lengths))
         for axis, coordinate in zip(self.axes, coordinates, strict=True):
             pitch = self.lattice.pitches[axis]

@@ -7,8 +7,6 @@ in the aperture of the lens with centre c, and 0 between apertures (Goodman, "In
 represent the steep orders from the edges, orders are used instead: see `microlens_orders`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

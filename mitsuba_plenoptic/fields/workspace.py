@@ -1,7 +1,5 @@
 """Memory in which fields are transformed, block by block, shared by all links of a chain."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -109,7 +107,7 @@ def retained_workspace(steps: Iterable[Step]) -> Iterator[FieldWorkspace]:
     if active_backend().is_cuda:
         yield FieldWorkspace(steps)
         return
-    buffers: dict[str, Field] = _of_thread.__dict__.pop("buffers", {})
+    buffers = _of_thread.__dict__.pop("buffers", {})
     yield FieldWorkspace(steps, buffers=buffers)
     if sum(buffer.nbytes for buffer in buffers.values()) <= _RETAINED:
         _of_thread.buffers = buffers

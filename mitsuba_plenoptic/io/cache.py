@@ -6,8 +6,6 @@ key, or one that cannot be read, is made again. While an entry is made its lock 
 make others in the same folder. A sum within an entry goes on from its checkpoint (`io.checkpoints`).
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import logging

@@ -181,8 +181,6 @@ def write_capture(path: str | Path, capture: Capture) -> None:
 
     Parameters
     ----------
-    path : path
-        File to write.
     capture : Capture
         The capture to write.
 
@@ -231,8 +229,6 @@ def read_capture(
 
     Parameters
     ----------
-    path : path
-        The file.
     camera : PlenopticCamera, optional
         The camera, instead of the one that the file states.
     linear : bool

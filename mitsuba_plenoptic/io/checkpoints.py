@@ -62,8 +62,6 @@ class Checkpoint:
 
     Parameters
     ----------
-    path : path
-        The file.
     existing : {"refuse", "resume", "resume_if_same"}
         What to do with an existing file: refuse to replace it; resume from it, or refuse a file of another run; or
         resume from it, or replace a file of another run.
@@ -252,7 +250,7 @@ def write_json(path: Path, content: Any) -> None:
 
 def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, Array]) -> None:
     header: dict[str, Any] = {"sums": snapshot.sums}
-    arrays: dict[str, Any] = {"image": snapshot.image, **prepared}
+    arrays = {"image": snapshot.image, **prepared}
     if snapshot.partial:
         unfinished = snapshot.partial
         header |= {"batches": unfinished.batches, "arrived": unfinished.arrived}

@@ -1,7 +1,5 @@
 """Finished captures shipped with the package, for reconstruction without rendering."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..choices import Example

@@ -1,7 +1,5 @@
 """Float32 OpenEXR images with one JSON attribute, written completely or not at all, and those of other programs."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Iterator, Mapping

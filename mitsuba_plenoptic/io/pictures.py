@@ -5,8 +5,6 @@ numbers are encoded, from black to white; floating-point numbers are proportiona
 refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct
@@ -29,9 +27,6 @@ KEY = "mitsuba_plenoptic"
 
 # Bytes of a sample while it is read: as a number, in double and in single precision.
 _SAMPLE_BYTES = 16
-
-_COLOURS = {PHOTOMETRIC.MINISWHITE: 1, PHOTOMETRIC.MINISBLACK: 1, PHOTOMETRIC.RGB: 3, PHOTOMETRIC.PALETTE: 1}
-"""Samples of a pixel's colour in TIFF files, by the meanings of samples that are read."""
 
 
 class StoredPicture(NamedTuple):
@@ -119,7 +114,9 @@ def read_tiff(path: Path) -> StoredPicture:
         page = pages[0]
         kind = page.dtype
         meaning = page.photometric
-        colours = _COLOURS.get(page.photometric, 0)
+        # Samples of a pixel's colour; 0 for meanings that are not read.
+        of_one = (PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK, PHOTOMETRIC.PALETTE)
+        colours = 3 if meaning == PHOTOMETRIC.RGB else int(meaning in of_one)
         count = page.imagedepth * max(len(pages), file.series[0].size // max(page.size, 1))
         floats = str(kind).startswith("float")
         turned = page.tags.valueof("Orientation", default=1)

@@ -1,7 +1,5 @@
 """Ground truth: the surfaces that rays of a capture and of its views meet, in a file next to the capture."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -44,8 +42,6 @@ class GroundTruth:
 
     Attributes
     ----------
-    camera : PlenopticCamera
-        The camera.
     pixels : dict
         Arrays (rows, columns[, 3]) by quantity, float32: of the ray from the middle of each pixel through the centre
         of its lens, or of the pupil without microlenses.
@@ -97,8 +93,6 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
     Parameters
     ----------
-    path : path
-        File to write.
     truth : GroundTruth
         The ground truth to write.
     """
@@ -117,13 +111,7 @@ def write_ground_truth(path: str | Path, truth: GroundTruth) -> None:
 
 
 def read_ground_truth(path: str | Path) -> GroundTruth:
-    """Return the ground truth in a file of `write_ground_truth`.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
+    """Return the ground truth in a file of `write_ground_truth`."""
     parts, attributes = read_exr_parts(path)
     with naming(path):
         refuse_if(

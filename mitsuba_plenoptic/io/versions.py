@@ -1,7 +1,5 @@
 """What files state of themselves: their version, and a digest."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping, Sequence

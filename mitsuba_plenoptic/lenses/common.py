@@ -155,8 +155,6 @@ def main_lens(
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that for which the main lens is specified.
     varying : mapping, optional

@@ -29,7 +29,4 @@ def undistort(x: Any, y: Any, distortion: Any) -> Pair:
     square = x * x + y * y
     radial = 1 + square * (k1 + square * (k2 + square * k3))
     cross = 2 * x * y
-    return (
-        x * radial + p1 * (square + 2 * x * x) + p2 * cross,
-        y * radial + p2 * (square + 2 * y * y) + p1 * cross,
-    )
+    return (x * radial + p1 * (square + 2 * x * x) + p2 * cross, y * radial + p2 * (square + 2 * y * y) + p1 * cross)

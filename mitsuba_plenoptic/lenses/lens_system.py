@@ -60,8 +60,6 @@ class LensSystem:
 
         Parameters
         ----------
-        camera : PlenopticCamera
-            The camera.
         wavelength : float, optional
             Wavelength in nanometres. Default: the prescription's own.
         """

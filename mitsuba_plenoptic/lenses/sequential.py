@@ -102,10 +102,7 @@ def widened(surface: Element, factor: float) -> Element:
 
 
 def follow(
-    lens: Sequence[Element],
-    point: Triple,
-    direction: Triple,
-    squares: list[Any] | None = None,
+    lens: Sequence[Element], point: Triple, direction: Triple, squares: list[Any] | None = None
 ) -> tuple[Triple, Triple, Any, Any]:
     r"""Return position, direction and path of rays behind a lens.
 

@@ -1,7 +1,5 @@
 """Linear maps between arrays, which are linear operators of SciPy between flat arrays."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -6,8 +6,6 @@ the sRGB primaries red, green and blue are nonnegative, have the sum 1, and are 
 4; their values are computed here). The conversion is linear, so it holds for light of any strength and for sums.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Grids and windows are chosen beforehand, by geometry or by the caller. Each guar
 fraction of the power in the computed fields. All bounds are defined here, with their reasons.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from contextvars import ContextVar

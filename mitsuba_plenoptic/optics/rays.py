@@ -9,8 +9,6 @@ Symbols: p detector point, m MLA point, c microlens centre, P pupil point, t slo
 X scene point at distance g, q point of the MLA plane.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -193,7 +191,7 @@ def second_leg(pairs: tuple[float, ...], absorption: float, kind: Any = None) ->
     type of the paths' arrays: of Dr.Jit, by default the active variant's, or of NumPy.
     """
     fine = np.linspace(0, pairs[-2] if pairs else 90, _ANGLES)
-    table: Any = np.interp(fine, pairs[::2], pairs[1::2]) if pairs else None
+    table = np.interp(fine, pairs[::2], pairs[1::2]) if pairs else None
     if pairs and kind is not np.ndarray:
         table = drjit_array(kind or mi.Float, table)
         dr.make_opaque(table)

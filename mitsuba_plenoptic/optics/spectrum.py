@@ -17,15 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import (
-    InputError,
-    put,
-    refuse_if,
-    require_count,
-    require_number,
-    require_wavelength,
-    suggest_keywords,
-)
+from ..errors import InputError, put, refuse_if, require_count, require_number, require_wavelength, suggest_keywords
 from ..runtime import Doubles, Floats, as_array, read_table
 
 MOST_WAVELENGTHS = 1024

@@ -9,8 +9,6 @@ The field is periodic: light that leaves the window on one side re-enters it on 
 that is wide enough.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any
@@ -226,10 +224,7 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
     libraries = active_backend()
     on_device = libraries.is_cuda and isinstance(field, libraries.arrays.ndarray)
     source = (libraries.arrays if on_device else np).asarray(field, np.complex64, order="C")
-    refuse_if(
-        source.ndim != 2 or source.size == 0,
-        f"field of shape {source.shape}: it must have rows and columns",
-    )
+    refuse_if(source.ndim != 2 or source.size == 0, f"field of shape {source.shape}: it must have rows and columns")
     samples = source if overwrite else backend_of(source).empty(source.shape, np.complex64)
     if not overwrite:
         samples[...] = source

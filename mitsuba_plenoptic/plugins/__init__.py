@@ -6,8 +6,6 @@ exception would not undo the change of the variant. For a variant that cannot wo
 raise an error with the reason.
 """
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable
 from functools import cache

@@ -351,8 +351,7 @@ def make_class() -> type:
             Spectrum.sensor(self.file_table, self.wavelength_count)
             channels = self.file_table.shape[1] - 1
             refuse_if(
-                channels not in (1, 3),
-                f"{NAME}: responses = {self.responses}: {channels} channels: it must be 1 or 3",
+                channels not in (1, 3), f"{NAME}: responses = {self.responses}: {channels} channels: it must be 1 or 3"
             )
 
         def _spectrum(self, channels: int, tables: Sequence[Table]) -> Spectrum | None:

@@ -3,23 +3,13 @@
 Messages state the plugin, the parameter, its value and the rule.
 """
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
 import mitsuba as mi
 
 from ..camera import FILE_READERS, PARAMETERS, Form, PlenopticCamera, Use, film_numbers, require_support
-from ..errors import (
-    NO_RECORD,
-    InputError,
-    naming,
-    refusing,
-    require_choice,
-    require_count,
-    require_number,
-)
+from ..errors import NO_RECORD, InputError, naming, refusing, require_choice, require_count, require_number
 from ..extension import missing
 from ..scene import unknown_parameter
 

@@ -1,7 +1,5 @@
 """The sensor plugin ``plenoptic``: the ray model of a plenoptic camera."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import sys
@@ -17,7 +15,7 @@ from ..errors import InputError, refuse_if
 from ..extension import entries, place
 from ..lenses import main_lens
 from ..optics import second_leg
-from ..rays import Dispersion, LensRays, sampler_of
+from ..rays import LensRays, sampler_of
 from ..runtime import Pair, Triple, count_lanes, require_unfrozen
 from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
@@ -249,8 +247,8 @@ def make_class() -> type:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
             rays = self._rays
             width = self.detector_width / self.film().size()[0]
-            dispersion: Dispersion | None = None
-            passage: Any = None
+            dispersion = None
+            passage = None
             if rays.dispersion is not None:
                 dispersion, lens_sample, share = rays.dispersion.draw(lens_sample, wavelengths)
                 rays = dispersion.refracting(rays)

@@ -1,7 +1,5 @@
 """The base of the integrators of wave captures: wavelengths, films, and what all of them refuse."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr
@@ -89,13 +87,7 @@ def make_base() -> type:
                 raise InputError(f"{self.plugin}: nested {kind}: {reason}; use path or direct")
 
         def render(
-            self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
-            spp: int = 0,
-            develop: bool = True,
-            evaluate: bool = True,
+            self, scene: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0, develop: bool = True, evaluate: bool = True
         ) -> Any:
             """Render the capture; `spp` is the count of samples that `record` takes."""
             sensor, seed, spp = asked_for(scene, sensor, seed, spp)

@@ -1,7 +1,5 @@
 """Mean light of cells of rays, which straight edges divide."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

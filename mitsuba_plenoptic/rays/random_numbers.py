@@ -1,7 +1,5 @@
 """Random numbers of rays: evenly spread sequences, and 16-bit words."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -230,14 +230,7 @@ class LensRays:
             fill=numbers["mla_fill"],
             displacement=camera.displacement(numbers["detector_distance"]),
         )
-        walk = Walk(
-            camera,
-            lens,
-            lattice,
-            numbers["mla_focal_length"],
-            numbers["detector_distance"],
-            camera.mla_medium,
-        )
+        walk = Walk(camera, lens, lattice, numbers["mla_focal_length"], numbers["detector_distance"], camera.mla_medium)
         rays = cls(walk, Dispersion.of(camera), CHIEF)
         return replace(rays, choice=LensChoice.of_points(rays.ends))
 

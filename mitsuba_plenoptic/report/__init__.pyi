@@ -28,7 +28,6 @@ from .lens_quality import behind_lens as behind_lens
 from .microlens_drawing import microlens_figure as microlens_figure
 from .output_files import as_parts as as_parts
 from .output_files import reconstruction_paths as reconstruction_paths
-from .output_files import require_picture_path as require_picture_path
 from .output_files import write_depth as write_depth
 from .output_files import write_drawn as write_drawn
 from .output_files import write_epipolar_image as write_epipolar_image

@@ -1,7 +1,5 @@
 """Animations as GIF."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

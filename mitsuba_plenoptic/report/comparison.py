@@ -1,7 +1,5 @@
 """The comparison of rays and waves on any scene: captured, measured, drawn and reported."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -320,11 +318,7 @@ def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, fl
 
 @styled
 def figure_pairs(
-    path: Path,
-    pairs: Mapping[str, Sequence[Array]],
-    bound: float,
-    bar: Callable[[Axes, Array], None],
-    pdf: bool,
+    path: Path, pairs: Mapping[str, Sequence[Array]], bound: float, bar: Callable[[Axes, Array], None], pdf: bool
 ) -> None:
     """Draw images by rays, by waves, and their difference up to a bound relative to white; a row for each title.
 

@@ -1,7 +1,5 @@
 """The page of a comparison of rays and waves: captures to swipe between, images to refocus, numbers and figures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path

@@ -3,8 +3,6 @@
 `edge_sharpness` looks for the edge; `window_sharpness` and `square_sharpness` are told where it is.
 """
 
-from __future__ import annotations
-
 import math
 import statistics
 from dataclasses import dataclass, replace

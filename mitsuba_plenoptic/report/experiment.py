@@ -31,12 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 def thin_lens_image(
-    scene: Any,
-    camera: PlenopticCamera,
-    distance: float,
-    spp: int,
-    oversample: int = 1,
-    pixel_format: str = "luminance",
+    scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1, pixel_format: str = "luminance"
 ) -> Array:
     """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
 
@@ -59,7 +54,7 @@ def thin_lens_image(
     """
     columns, rows = camera.bin_count
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
-    spread: dict[str, Any] = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
+    spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
     sensor = photographic_sensor(
         scene,
         camera,
@@ -156,7 +151,7 @@ def methods_of_both(names: Sequence[str]) -> tuple[RefocusMethod, ...]:
     """Return methods of the ray and of the wave capture, rays always; last the limit, of the wave capture, if named."""
     for name in names:
         require_choice("methods", name, (*_METHODS, "limit"))
-    both: list[RefocusMethod] = []
+    both = []
     for name, (title, options) in _METHODS.items():
         if name in ("ray", *names):
             both += [
@@ -461,12 +456,7 @@ def captured(
 
 
 def against_ordinary(
-    store: Cache,
-    spec: CaptureSpec,
-    scene: mi.Scene,
-    camera: PlenopticCamera,
-    twin: PlenopticCamera,
-    distance: float,
+    store: Cache, spec: CaptureSpec, scene: mi.Scene, camera: PlenopticCamera, twin: PlenopticCamera, distance: float
 ) -> Ordinary:
     """Return what an ordinary camera is compared by: wave captures like the plenoptic one, as stages."""
     capture, _ = captured(store, "capture_ordinary", spec, with_camera(scene, twin), twin.to_dict())

@@ -1,7 +1,5 @@
 """Images as pictures: the value drawn as white, and PNG files."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Variants are tried, since what they load shows with the first scene only: OptiX 
 often missing, in containers above all, where CUDA alone works.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import shutil

@@ -1,7 +1,5 @@
 """A drawing of a real main lens: its surfaces with rays, spots, and light and distortion over the field."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

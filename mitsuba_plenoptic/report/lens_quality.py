@@ -5,8 +5,6 @@ cosines in which it reaches the point's image (Goodman, "Introduction to Fourier
 that of the wave captures: traced path and amplitude, within the edges of all surfaces.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

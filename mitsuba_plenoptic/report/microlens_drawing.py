@@ -1,7 +1,5 @@
 """A drawing of a microlens: its optical path, its section with rays, and the spot on the detector."""
 
-from __future__ import annotations
-
 import numpy as np
 from matplotlib.axes import Axes
 
@@ -22,8 +20,6 @@ def microlens_figure(camera: PlenopticCamera, wavelength: float | None = None) -
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     wavelength : float, optional
         Wavelength in nanometres. Default: that of the line d.
     """

@@ -1,7 +1,5 @@
 """The price of a microlens array: a scene with and without one, and the sharpness of both pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..choices import ANIMATED, PICTURES
+from ..choices import PICTURES
 from ..errors import refuse_if
 from ..io import TRUTH_COORDINATES, image_channels, write_exr_parts
 from ..refocus import Reconstruction, write_reconstruction
@@ -30,18 +30,13 @@ def _plots() -> Any:
     return importlib.import_module(".plots", __package__)
 
 
-def require_picture_path(path: str | Path, *, animated: bool = False) -> Path:
-    """Return a path after a check, before a long computation, that a picture or data can be written to it."""
-    return require_writable(path, *PICTURES, *(ANIMATED if animated else ()))
-
-
 def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: Drawing) -> list[Path]:
     """Return a file path for each distance, after a check that all can be written.
 
     A figure shows all distances in one file, `path`. Otherwise one distance gives `path`, and several give
     ``name_210.exr``, ``name_240.exr``; no distance may be given twice.
     """
-    path = require_picture_path(path)
+    path = require_writable(path, *PICTURES)
     names = [f"{path.stem}_{distance:.12g}{path.suffix}" for distance in distances]
     for name, distance in zip(names, distances, strict=True):
         refuse_if(names.count(name) > 1, f"distance = {distance:g}: it is given twice")
@@ -51,10 +46,7 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: 
 
 
 def write_reconstructions(
-    paths: Sequence[Path],
-    results: Sequence[Reconstruction],
-    source: dict[str, Any] | None,
-    drawing: Drawing,
+    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None, drawing: Drawing
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
@@ -173,7 +165,7 @@ def write_drawn(
     figure: Callable[[], Any],
 ) -> None:
     """Write a data file of parts with coordinates and attributes, a picture, or a figure, chosen by the suffix."""
-    path = require_picture_path(path)
+    path = require_writable(path, *PICTURES)
     if drawing.is_figure(path):
         figure().save(path, drawing.dpi)
         return

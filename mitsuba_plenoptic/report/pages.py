@@ -1,7 +1,5 @@
 """Pages: one HTML file with everything in it, to be opened from anywhere, made of sections."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -84,14 +84,7 @@ class Plot(Figure):
         return panels
 
     def colour_bar(
-        self,
-        artist: Any,
-        beside: Any,
-        label: str,
-        *,
-        location: str = "right",
-        text: float = 8,
-        extend: str = "neither",
+        self, artist: Any, beside: Any, label: str, *, location: str = "right", text: float = 8, extend: str = "neither"
     ) -> Any:
         """Add a colour bar for an image beside its axes, or beside all that share its colours, and return it."""
         rows = {axes.get_subplotspec().rowspan.start for axes in np.ravel(beside)}
@@ -104,8 +97,6 @@ class Plot(Figure):
 
         Parameters
         ----------
-        path : path
-            File to write.
         dpi : float, optional
             Dots per inch of a PNG. Default: those of the figure, 300 for papers.
         """
@@ -391,7 +382,7 @@ def depth_figure(found: xr.Dataset, white: float | None = None) -> Plot:
     finite = depth[np.isfinite(depth)]
     near, far = (float(finite.min()), float(finite.max())) if finite.size else (found.attrs["near"], found.attrs["far"])
     unknown = "" if finite.size == depth.size else "; hatched: unknown"
-    maps: list[Any] = [
+    maps = [
         ("In focus everywhere", image, _grey([image], white), "gray", "radiance"),
         (sought, depth, Normalize(near, far), "viridis_r", f"{unit}{unknown}"),
         ("Confidence", found["confidence"].values, Normalize(0, 1), "gray", "probability"),

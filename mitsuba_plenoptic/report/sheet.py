@@ -1,7 +1,5 @@
 """The design sheet: quantities that follow from a camera's parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -176,10 +174,7 @@ def _field(field: FieldFigures) -> _Lines:
         )
         for wavelength, rays in field.rays.items()
     ]
-    rows += [
-        ("light", f"{field.light:.1%}", "", "of that on the axis"),
-        ("distortion", f"{field.distortion:+.3%}"),
-    ]
+    rows += [("light", f"{field.light:.1%}", "", "of that on the axis"), ("distortion", f"{field.distortion:+.3%}")]
     if field.colour is not None and field.height > 0:
         rows.append(
             ("lateral colour", f"{1e3 * field.colour:+.3g}", "um", "line F (486 nm) farther out than C (656 nm)")
@@ -451,12 +446,7 @@ def _fourier(camera: PlenopticCamera, lens: Objective) -> _Lines:
             f"lens of {lens.last_focal_length:.4g} mm before the array",
         ),
         ("image of the stop", f"{lens.blur_diameter(0):.4g}", "mm"),
-        (
-            "lenses across it",
-            f"{design.lenses_across_stop(camera):.3g}",
-            "",
-            f"{len(lit)} lit",
-        ),
+        ("lenses across it", f"{design.lenses_across_stop(camera):.3g}", "", f"{len(lit)} lit"),
         ("numerical aperture of a lens", f"{design.lens_aperture(camera):.4g}"),
         ("pixel in the object", f"{1e3 * camera.bin_size(0):.4g}", "um"),
         ("field stop", "none", "", f"micro-images touch with {touching:.4g} mm")

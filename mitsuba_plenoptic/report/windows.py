@@ -1,7 +1,5 @@
 """Parts of images that figures show: the lit part of the field, and close-ups of whole micro-images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

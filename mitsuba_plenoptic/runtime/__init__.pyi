@@ -73,9 +73,9 @@ from .files import read_table as read_table
 from .files import read_text as read_text
 from .files import read_yaml as read_yaml
 from .files import remove_leftovers as remove_leftovers
-from .files import require_apart as require_apart
 from .files import require_different as require_different
 from .files import require_file as require_file
+from .files import require_output as require_output
 from .files import require_size as require_size
 from .files import require_writable as require_writable
 from .files import require_zarr as require_zarr

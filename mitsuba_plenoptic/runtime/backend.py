@@ -9,8 +9,6 @@ Floats, NumPy arrays and Dr.Jit arrays name a few operations differently; this m
 arrays that users give are read here: what a plain array of numbers would lose is followed or refused.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib
 import logging

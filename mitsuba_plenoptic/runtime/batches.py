@@ -413,7 +413,7 @@ class Cluster:
             opened.callback(logger.setLevel, logger.level)
             logger.setLevel(logging.CRITICAL + 1)
             try:
-                address: Any = self._scheduler
+                address = self._scheduler
                 if self._scheduler:
                     # In a thread, as notebooks have a loop. Clients would go on trying where nobody answers.
                     with ThreadPoolExecutor(1) as pool:
@@ -494,7 +494,7 @@ class Cluster:
 
 def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
     """Yield groups of consecutive batches, large enough to be worth sending to a worker."""
-    group: list[Batch] = []
+    group = []
     samples = 0
     for batch in batches:
         group.append(batch)
@@ -595,7 +595,7 @@ def lanes_reported(report: Callable[[float], None] | None, lanes: int) -> Iterat
     dr.sync_thread()
     counted = ctypes.c_uint32.from_address(count.numpy().ctypes.data)
     ended = threading.Event()
-    errors: list[BaseException] = []
+    errors = []
 
     def watch() -> None:
         try:

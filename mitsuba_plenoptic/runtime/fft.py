@@ -9,8 +9,6 @@ first, and caches cuFFT plans by shape (`cupy.fft.config.get_plan_cache`). Calle
 that a transform returns.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import functools
@@ -223,11 +221,7 @@ def split(types: Any, index: Any, rows: int, columns: int) -> Triple:
     """Return a flat index as the indices of image, row and column."""
     line = quotient(index, columns, types)
     image = quotient(line, rows, types)
-    return (
-        image,
-        line - image * dr.opaque(types.UInt32, rows),
-        index - line * dr.opaque(types.UInt32, columns),
-    )
+    return (image, line - image * dr.opaque(types.UInt32, rows), index - line * dr.opaque(types.UInt32, columns))
 
 
 def convolve(image: Array, kernel: Array) -> Doubles:

@@ -1,7 +1,5 @@
 """Files: read within bounds on the sizes that they claim, and written completely or not at all."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import functools
@@ -21,16 +19,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 import yaml
 
-from ..errors import (
-    NO_RECORD,
-    InputError,
-    naming,
-    refuse_if,
-    refusing,
-    require_module,
-    require_suffix,
-    short_repr,
-)
+from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_module, require_suffix, short_repr
 from .backend import Doubles
 
 _one_at_a_time = threading.Lock()
@@ -70,8 +59,10 @@ def _writable(path: str | Path, *suffixes: str) -> Path:
     return path
 
 
-def require_apart(path: Path, *sources: Path | None) -> None:
-    """Refuse an output file that is also an input and would be replaced."""
+def require_output(path: Path, *sources: Path | None, is_folder: bool = False) -> None:
+    """Refuse an output, a file or a folder, that cannot be written, or is also an input and would be replaced."""
+    if not is_folder:
+        require_writable(path)
     for source in sources:
         refuse_if(
             source is not None and path.exists() and source.exists() and path.samefile(source),
@@ -81,7 +72,7 @@ def require_apart(path: Path, *sources: Path | None) -> None:
 
 def require_different(*paths: Path | None) -> None:
     """Refuse output files of which two are the same."""
-    resolved: set[Path] = set()
+    resolved = set()
     for path in filter(None, paths):
         refuse_if(
             path.resolve() in resolved, f"{path}: two results would be written to it; give each a name of its own"

@@ -7,8 +7,6 @@ ours. The scenes are earlier ones that notebooks, exceptions or circles of refer
 `gc.callbacks` before each collection.
 """
 
-from __future__ import annotations
-
 import _thread
 import gc
 import sys
@@ -25,7 +23,7 @@ def hide_scenes(phase: str, info: dict[str, Any]) -> None:
     global _hidden
     if phase == "start":
         _hidden = dr.flag(dr.JitFlag.SymbolicScope)
-        frames: list[Any] = list(sys._current_frames().values())
+        frames = list(sys._current_frames().values())
         while frames and not _hidden:
             frame = frames.pop()
             # A call of a frozen function.

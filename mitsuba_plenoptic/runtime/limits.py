@@ -4,8 +4,6 @@ What is read, written and decoded lies in the machine's memory, `require_memory`
 and the backend's library compute lie where the active variant computes, `check_memory`: with CUDA on the device.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import math

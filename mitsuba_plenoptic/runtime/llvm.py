@@ -8,8 +8,6 @@ before a kernel is compiled, what to do if there is no library.
 Only the standard library is imported here, so that ``tools/ensure_llvm.py`` can load this file on its own.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import re
@@ -129,21 +127,14 @@ def install_command() -> str | None:
             return f"{sudo}apt-get install -y {package}"
         # Fresh systems have no list of packages yet; this one is in Debian 12 and Ubuntu 24.04.
         return f"{sudo}apt-get update && {sudo}apt-get install -y libllvm19"
-    others = {
-        "brew": "brew install llvm",
-        "dnf": "sudo dnf install llvm-libs",
-        "pacman": "sudo pacman -S llvm-libs",
-    }
+    others = {"brew": "brew install llvm", "dnf": "sudo dnf install llvm-libs", "pacman": "sudo pacman -S llvm-libs"}
     return next((command for program, command in others.items() if shutil.which(program)), None)
 
 
 def newest_apt_package() -> str | None:
     """Return the newest usable ``libllvmNN`` that apt knows of."""
     listing = subprocess.run(
-        ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"],
-        capture_output=True,
-        text=True,
-        check=False,
+        ["apt-cache", "search", "--names-only", "^libllvm[0-9]+(t64)?$"], capture_output=True, text=True, check=False
     ).stdout
     packages = re.findall(r"^(libllvm(\d+)(?:t64)?) ", listing, flags=re.MULTILINE)
     usable = [(int(major), name) for name, major in packages if int(major) >= MINIMUM]

@@ -1,7 +1,5 @@
 """Locks of outputs, so that no two processes compute the same one; imported by commands before their libraries."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

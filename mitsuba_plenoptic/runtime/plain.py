@@ -1,7 +1,5 @@
 """Records that files and headers hold as plain data: numbers, strings, lists and dictionaries by the fields' names."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import MISSING, fields

@@ -1,7 +1,5 @@
 """Polynomials of two variables: the powers of their terms, by rising degree, and the terms' values."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,7 +14,7 @@ def exponents(degree: int, lowest: int = 0) -> list[tuple[int, int]]:
 def monomials(u: Any, v: Any, pairs: Sequence[tuple[int, int]]) -> list[Any]:
     """Return the terms u^i v^j of floats, NumPy or Dr.Jit arrays; among Dr.Jit arrays that of degree 0 is a number."""
     unit = np.ones_like(u) if isinstance(u, np.ndarray) else 1.0
-    powers: list[list[Any]] = [[unit, u], [unit, v]]
+    powers = [[unit, u], [unit, v]]
     for series in powers:
         while len(series) <= max(map(sum, pairs), default=0):
             series.append(series[-1] * series[1])

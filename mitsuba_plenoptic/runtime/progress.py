@@ -28,9 +28,6 @@ SETTLED = 5.0
 MINUTE = 60.0
 """Seconds of work after which its speed is known, and seconds in a minute."""
 
-_TELLING = 0.01
-"""Fraction of the work that a single report must add to tell the speed."""
-
 _REPORTS = 256
 """Reports from which the speed of work is taken, at most."""
 
@@ -113,8 +110,9 @@ class ProgressBar:
         # Of the farthest report: repetitions of a stage go back to where it began.
         done = self._reports[-1][1]
         gained = done - later[1]
-        # The first step after a pause, in which a kernel is compiled, tells the pause's length rather than the speed.
-        if later is self._reports[-2] and gained < _TELLING:
+        # The first step after a pause, in which a kernel is compiled, tells the pause's length rather than the speed,
+        # unless it adds a hundredth of the work.
+        if later is self._reports[-2] and gained < 0.01:
             return None
         return (time.monotonic() - later[0]) * (1 - done) / gained
 

@@ -147,7 +147,7 @@ def render_capture(
     )
     # Two sensors with the same camera must not share a checkpoint.
     label = {} if sensor == 0 else {"sensor": sensor if isinstance(sensor, int) else chosen.id()}
-    metadata: dict[str, Any] = {
+    metadata = {
         "scene": scene.id(),
         "variant": mi.variant(),
         "integrator": getattr(integrator, "child", integrator).class_name(),

@@ -125,10 +125,7 @@ def _existing(name: str, folders: list[Path]) -> Iterator[Path]:
 
 KNOWN_PARAMETERS = {
     "plenoptic": (*PARAMETERS, "to_world"),
-    "plenoptic_wave": (
-        *("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"),
-        *("method", "accuracy"),
-    ),
+    "plenoptic_wave": (*("wavelength", "bandwidth", "responses", "wavelength_count", "nodes"), *("method", "accuracy")),
     "plenoptic_laser": (
         *("lasers", "wavelength", "modes", "points_per_spot"),
         *("source_diameter", "source_distance", "bandwidth", "roughness"),
@@ -355,10 +352,7 @@ UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 _MOVED_LAMPS = ("point", "spot", "projector")
 _MOVED_CAMERAS = ("plenoptic", "perspective", "thinlens", "radiancemeter")
-_SCALED_SHAPES = (
-    *("sphere", "rectangle", "disk", "cube", "cylinder"),
-    *("obj", "ply", "serialized", "sdfgrid"),
-)
+_SCALED_SHAPES = (*("sphere", "rectangle", "disk", "cube", "cylinder"), *("obj", "ply", "serialized", "sdfgrid"))
 _SKIES = ("area", "directionalarea", "directional", "constant", "envmap", "sunsky", "timed_sunsky")
 
 _SCALABLE = {

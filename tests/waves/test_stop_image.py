@@ -87,8 +87,8 @@ def test_a_textured_plane_is_a_sum_of_airy_patterns():
     place = mi.ScalarTransform4f().rotate([1, 0, 0], 180).scale(wide)
     plane = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": texture}}
     fine = 3
-    wave = captured(camera, plane, 2048)
-    ray = captured(camera.replace(resolution=(50 * fine, 50 * fine)), plane, 1024, wave=False)
+    wave = captured(camera, plane, 512)
+    ray = captured(camera.replace(resolution=(50 * fine, 50 * fine)), plane, 128, wave=False)
     along = np.arange(-40 * fine, 40 * fine + 1) * 0.02 / fine
     # The pattern of a lens of diameter 0.3, with the light of an area that is a sample.
     spread = np.pi * 0.3 / (WAVELENGTH * 1e-6 * 20)
@@ -103,9 +103,9 @@ def test_a_textured_plane_is_a_sum_of_airy_patterns():
 def test_an_even_scene_reads_the_number_of_lenses(wave):
     constant = {"type": "constant", "radiance": 1.0}
     # Micro-images of radius 0.246 touch nearly; those of radius 0.5 overlap in the middle, where four lenses are seen.
-    alone = captured(microscope(), constant, 64, wave)
+    alone = captured(microscope(), constant, 16, wave)
     assert alone[9:16, 9:16].mean() == pytest.approx(1, abs=0.005 + 0.03 * wave)
-    assert captured(microscope(0.61), constant, 64, wave)[23:27, 23:27].mean() == pytest.approx(
+    assert captured(microscope(0.61), constant, 16, wave)[23:27, 23:27].mean() == pytest.approx(
         4, abs=0.02 + 0.1 * wave
     )
 

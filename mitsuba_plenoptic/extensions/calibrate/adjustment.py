@@ -5,8 +5,6 @@ Levenberg and Marquardt's method with exact derivatives. The six parameters of e
 formed (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, section 6).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

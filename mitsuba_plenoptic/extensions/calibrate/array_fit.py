@@ -1,7 +1,5 @@
 """Fit of a camera's array to places of micro-images: pitches, rotation, offset, and a smooth warp of the lenses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

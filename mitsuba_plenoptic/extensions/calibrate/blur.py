@@ -11,8 +11,6 @@ radii of the lenses of one type lie on a line. What programs call the radius of 
 sign; the slope of the line gives both, and its value at z/a = 0, divided by the slope, gives z/f.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -11,15 +11,7 @@ from ...errors import InputError, naming, refuse_if, suggest_keywords
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
-from .board_model import (
-    NAMES,
-    OFFSET,
-    PRINCIPAL,
-    Observations,
-    camera_of,
-    numbers_of,
-    predict_centres,
-)
+from .board_model import NAMES, OFFSET, PRINCIPAL, Observations, camera_of, numbers_of, predict_centres
 from .calibration_result import (
     OPEN,
     REMEDY,

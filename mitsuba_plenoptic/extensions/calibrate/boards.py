@@ -6,8 +6,6 @@ of one depth. Both are in pixels of the raw picture and need no parameter of the
 from the nearest lenses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

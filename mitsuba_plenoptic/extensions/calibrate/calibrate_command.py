@@ -69,11 +69,11 @@ def centres(whites: list[Picture], *, output: Annotated[Path, options.ends_in(".
     --------
     $ mitsuba-plenoptic calibrate centres white.png -o centres.csv
     """
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_output
     from . import calibration
     from .calibration_result import listed
 
-    require_apart(require_writable(output), *whites)
+    require_output(output, *whites)
     result = calibration.find_centres(*(_values(path, linear) for path in whites))
     calibration.write_centres(output, result)
     if result.doubtful.any():
@@ -121,13 +121,13 @@ def corners(
     """
     import numpy as np
 
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_output
     from ...views import white_image
     from . import calibration
     from .calibrated_cameras import lens_index
     from .detect import camera_centres
 
-    require_apart(require_writable(output), *pictures, centres, white)
+    require_output(output, *pictures, centres, white)
     shape = calibration.Board.parse(board, 1.0)
     known_camera, record = inputs.load_camera(camera, {}) if camera else (None, None)
     if known_camera is not None:
@@ -181,10 +181,10 @@ def boards(
     --------
     $ mitsuba-plenoptic calibrate boards corners.csv --board 9x5 --square 10 --camera start.json -o camera.json
     """
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_output
 
     for path in filter(None, (output, report)):
-        require_apart(require_writable(path), corners, centres)
+        require_output(path, corners, centres)
     start, _ = inputs.load_camera(camera, {})
     from . import calibration
     from .board_model import UNITS
@@ -236,14 +236,13 @@ def white(
     --------
     $ mitsuba-plenoptic calibrate white white.png --dark dark.tif --camera known.json -o camera.json
     """
-    from ...runtime import require_apart, require_writable, write_text
+    from ...runtime import require_output, write_text
 
     refuse_if(
-        model == "ray" and wavelength is not None,
-        f"--wavelength = {wavelength}: a fit by rays has none; leave it out",
+        model == "ray" and wavelength is not None, f"--wavelength = {wavelength}: a fit by rays has none; leave it out"
     )
     for path in filter(None, (output, report)):
-        require_apart(require_writable(path), picture, dark)
+        require_output(path, picture, dark)
     nominal, _ = inputs.load_camera(camera, {})
     if nominal.lens_data.images_stop:
         refuse_if(report is not None, f"--report = {report}: there is no page of the Fourier arrangement")

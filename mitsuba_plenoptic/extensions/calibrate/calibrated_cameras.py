@@ -5,8 +5,6 @@ lenses and pixels, the fitted numbers with their deviations, the poses, and the 
 camera accepts such a file.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict
@@ -29,8 +27,6 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
 
     Parameters
     ----------
-    path : path
-        File to write.
     calibration : Calibration
         The calibration to write.
     board : Board

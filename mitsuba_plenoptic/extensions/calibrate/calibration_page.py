@@ -1,7 +1,5 @@
 """The report on a calibration: a page with its numbers, residuals and boards."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +11,7 @@ from ...report import pages, plots
 from ...runtime import Array
 from .adjustment import rms
 from .board_model import UNITS
-from .calibration_result import Calibration, Evaluation, ResidualMap, field_cells, group_means, residual_map, summary
+from .calibration_result import Calibration, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
 from .observations import Table as Corners
 
@@ -46,47 +44,36 @@ def write_calibration_report(
         maps.append(("Centres of micro-images", middle, group_means(-calibration.centre_residuals[fitted], cell)[1]))
     caption = f"observed less predicted, outliers left out, means of cells of the detector, enlarged {_ENLARGED} times."
     radius = np.hypot(*(corners.pixel - (np.array(size) - 1) / 2).T)
+    # Equally many observations each.
+    ranges = [rows for rows in np.array_split(np.argsort(radius), _PARTS) if len(rows)]
+    by_radius = [(*radius[rows[[0, -1]]], len(rows), rms(usual.evaluation.residuals[rows])) for rows in ranges]
     residuals: list[pages.Block] = [
         *(pages.Picture(arrows(middle, mean, size).png(), f"{name}: {caption}") for name, middle, mean in maps),
         pages.Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
-        _ranges("Pixels from the detector's centre", _by(radius, usual.evaluation.residuals)),
+        _ranges("Pixels from the detector's centre", by_radius),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
     ]
     *lines, error = summary(calibration, 100)
     records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
     numbers = pages.Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
+    columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
+    columns |= {f"{axis}, mm": f"{{{column}:.2f}}" for column, axis in enumerate("xyz", 3)}
+    of_pose = np.bincount(evaluation.pose[outliers], minlength=len(evaluation.frames))
+    positions = np.asarray(evaluation.poses)[:, 3:].T
+    poses = zip(evaluation.frames, evaluation.pose_errors, of_pose, *positions, strict=True)
+    picture = pages.Picture(boards(calibration, board).png(), "Boards before the camera.")
     sections = [
         pages.Section("Numbers", [numbers, lines]),
-        pages.Section(
-            "Poses", [pages.Picture(boards(calibration, board).png(), "Boards before the camera."), _poses(evaluation)]
-        ),
+        pages.Section("Poses", [picture, pages.Table(columns, poses)]),
         pages.Section("Residuals", residuals),
     ]
     lead = f"{error[0].upper()}{error[1:]} (root mean square of two-dimensional distances, every row counted)."
     pages.Page("Calibration", lead, sections).write(path)
 
 
-def _poses(evaluation: Evaluation) -> pages.Table:
-    """Return the position and the error of each board."""
-    outliers = np.bincount(evaluation.pose[evaluation.outliers], minlength=len(evaluation.frames))
-    columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
-    columns |= {f"{axis}, mm": f"{{{column}:.2f}}" for column, axis in enumerate("xyz", 3)}
-    positions = np.asarray(evaluation.poses)[:, 3:].T
-    return pages.Table(columns, zip(evaluation.frames, evaluation.pose_errors, outliers, *positions, strict=True))
-
-
 def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
     """Return the errors in ranges of a quantity."""
     return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
-
-
-def _by(quantity: Array, residuals: Array) -> list[tuple[float, float, int, float]]:
-    """Return ranges of a quantity that hold equally many observations, and the RMS residual in each range."""
-    return [
-        (quantity[rows[0]], quantity[rows[-1]], len(rows), rms(residuals[rows]))
-        for rows in np.array_split(np.argsort(quantity), _PARTS)
-        if len(rows)
-    ]
 
 
 @plots.styled

@@ -5,8 +5,6 @@ should show it, and located in each to a fraction of a pixel (`find_saddles`); l
 positions of the others.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

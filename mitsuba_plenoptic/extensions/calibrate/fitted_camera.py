@@ -1,15 +1,11 @@
 """Parameters of a camera from what a fit to its white picture found."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.interpolate
 
 from ...camera import VIGNETTING_NUMBERS, LensTransmissions, PlenopticCamera, StrayLight
-from ...prescription import Objective
 from ...runtime import Array, exponents, monomials
 from .array_fit import ArrayFit
 from .field_fit import FieldNumbers
@@ -43,7 +39,7 @@ def fitted_camera(
     radius = float((numbers["radius"] * (1 + outline) * (1 + elongated)).max())
     polynomials = {name: field.coefficients[name].tolist() for name in VIGNETTING_NUMBERS}
     polynomials["radius"] = (field.coefficients["radius"] / radius).tolist()
-    changes: dict[str, Any] = {
+    changes = {
         **array.lattice_parameters(),
         "mla_warp": tuple(array.warp.tolist()) if array.warp.any() else (),
         "detector_blur": abs(float(field.coefficients["blur"][0])) * camera.pixel_size,
@@ -55,7 +51,7 @@ def fitted_camera(
     if camera.objective is None:
         return camera.replace(aperture_radius=camera.aperture_radius * wider, **changes)
     aperture = camera.objective.numerical_aperture * wider
-    objective: Objective = replace(camera.objective, numerical_aperture=aperture)
+    objective = replace(camera.objective, numerical_aperture=aperture)
     return camera.replace(main_lens=objective, **changes)
 
 

@@ -8,8 +8,6 @@ periodic, with one coefficient for each order of a Fourier series. Relay lenses 
 width of a pixel; light that is scattered farther than a lens is a constant.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -68,9 +66,6 @@ NUMBERS = tuple(field.name for field in fields(PupilNumbers))
 SHAPE = {"transmission": 25, "harmonics": 28}
 """Most coefficients of what the vignetting of all lenses has alike."""
 
-_STEPS = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002, "blur": 0.1}
-"""Steps of differences that give derivatives, where they are not 0.01; at no blur only a wide one gives any."""
-
 
 class MicroImageModel:
     """Micro-images of an even white scene under a camera's lenses, sampled on a cell along the lattice vectors.
@@ -120,7 +115,8 @@ class MicroImageModel:
         """Return `samples`, and their derivatives by each of `NUMBERS` as quotients of differences."""
         images = [self.samples(numbers)]
         for name in NUMBERS:
-            step = _STEPS.get(name, 0.01)
+            # Steps of differences that give derivatives, where they are not 0.01; at no blur only a wide one gives any.
+            step = {"stray": 0.001, "ellipse_x": 0.002, "ellipse_y": 0.002, "blur": 0.1}.get(name, 0.01)
             moved = replace(numbers, **{name: getattr(numbers, name) + step})
             images.append((self.samples(moved) - images[0]) / step if name != "stray" else np.ones_like(images[0]))
         return images

@@ -174,8 +174,6 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
     Parameters
     ----------
-    path : path
-        The file.
     board : Board
         The board that was seen.
     size : (int, int)
@@ -197,13 +195,7 @@ def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table
 
 
 def read_centres(path: str | Path) -> Table:
-    """Return centres of micro-images, read from a CSV table or a JSON file of LFToolbox or PlenoptiCam.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
+    """Return centres of micro-images, read from a CSV table or a JSON file of LFToolbox or PlenoptiCam."""
     path = Path(path)
     if path.suffix.lower() == ".json":
         return _checked(path, read_foreign_centres(path), header=0)
@@ -231,7 +223,7 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return positions on boards, (n, 2), in the camera frame, (n, 3), with the pose of each row."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
-    rotated: np.ndarray = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
+    rotated = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
     return rotated + poses[pose, 3:]
 
 

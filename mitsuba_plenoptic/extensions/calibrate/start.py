@@ -12,8 +12,6 @@ by a fit of few numbers.
 Rows that disagree with most rows of their frame are left out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from ...errors import InputError, refuse_if
@@ -39,10 +37,7 @@ def start_values(
     """
     observed = problem.corners
     size = problem.pixel_size
-    refuse_if(
-        observed.poses < 3,
-        f"corners: {observed.poses} poses of the board: at least 3 are needed",
-    )
+    refuse_if(observed.poses < 3, f"corners: {observed.poses} poses of the board: at least 3 are needed")
     slopes, maps, good = board_images(problem, board, frames, grid, principal)
     magnification = np.sqrt(np.linalg.det(maps[:, 1:]))
     # Magnifications that differ by less leave the distances in the camera open.

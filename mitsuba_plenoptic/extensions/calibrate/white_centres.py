@@ -8,8 +8,6 @@ Dust on the array or the detector darkens part of a micro-image and displaces it
 they lie off their neighbours' lattice, or their light differs from that of the neighbours.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -103,7 +101,13 @@ def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centr
     measured = []
     for image in images:
         discs = Discs.of(image, vectors)
-        centred = [_centred(image, block, discs) for block in blocks]
+        centred = []
+        for centre in blocks:
+            patches = pixels_around(image, centre, discs.reach + 1)
+            # Until centres stand still.
+            for _ in range(6):
+                centre, light = discs.measured(patches, centre)
+            centred.append((centre, light))
         measured.append([np.concatenate(values) for values in zip(*centred, strict=True)])
     centres, lights = map(np.stack, zip(*measured, strict=True))
     centre = centres.mean(0)
@@ -117,27 +121,14 @@ def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centr
     matrix = np.column_stack([np.ones(len(lens)), lattice_index(grid, lens)])
     residuals = centre - matrix @ np.linalg.lstsq(matrix, centre)[0]
     light = light / light.max()
-    return Centres(grid, lens, centre - 0.5, light, residuals, _doubtful(lens, residuals, light))
-
-
-def _centred(image: Array, centre: Array, discs: Discs) -> tuple[Array, Array]:
-    """Return centres that stand still under `Discs.measured`, and the light of each."""
-    patches = pixels_around(image, centre, discs.reach + 1)
-    light = np.zeros(len(centre))
-    for _ in range(6):
-        centre, light = discs.measured(patches, centre)
-    return centre, light
-
-
-def _doubtful(lens: Array, residuals: Array, light: Array) -> Array:
-    """Return a mask of centres that differ from their neighbours in place or light by more than is usual."""
+    # Which centres differ from their neighbours in place or light by more than is usual.
     values = np.concatenate([residuals, np.log(light)[:, None]], axis=1)
     differs = values - _local_medians(lens, values)
-    sizes = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
-    typical = np.maximum(_local_medians(lens, sizes), np.median(sizes, axis=0))
-    beyond = sizes > OUTLIER * typical
+    apart = np.stack([np.hypot(*differs[:, :2].T) / 1.17741, np.abs(differs[:, 2]) / 0.67449], axis=-1)
+    typical = np.maximum(_local_medians(lens, apart), np.median(apart, axis=0))
+    beyond = apart > OUTLIER * typical
     beyond[:, 1] &= np.abs(differs[:, 2]) > 0.02
-    return beyond.any(1)
+    return Centres(grid, lens, centre - 0.5, light, residuals, beyond.any(1))
 
 
 def _local_medians(lens: Array, values: Array) -> Array:

@@ -1,7 +1,5 @@
 """Fit of a camera to its white picture: array, pupil over the field, blur, stray light, brightness of lenses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,12 +118,7 @@ def fit_white(
     generator = np.random.default_rng(seed)
     size = frame.light.shape[::-1]
     plain = camera.replace(
-        mla_warp=(),
-        mla_tilt=(0.0, 0.0),
-        mla_transmissions=None,
-        vignetting=None,
-        pupil_apodisation=(0.0, 0.0),
-        **SHARP,
+        mla_warp=(), mla_tilt=(0.0, 0.0), mla_transmissions=None, vignetting=None, pupil_apodisation=(0.0, 0.0), **SHARP
     )
     camera = of_size(plain, size)
     # What the lenses' light cannot be is known before their places are.

@@ -1,7 +1,5 @@
 """Page on a camera fitted to its white picture: recorded and simulated pixels side by side."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import mitsuba as mi

@@ -1,7 +1,5 @@
 """Values of white pictures, and what the fit of a camera to one finds, in lines and for the file of the camera."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

@@ -5,7 +5,4 @@ Data sets of dual pixels need the extension `onchip`.
 
 from ...extension import Extension
 
-EXTENSION = Extension(
-    modules={"dataset": "dataset"},
-    commands={"dataset": "dataset_command"},
-)
+EXTENSION = Extension(modules={"dataset": "dataset"}, commands={"dataset": "dataset_command"})

@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic dataset``: random scenes from a recipe, captured with ground truth."""
 
-from __future__ import annotations
-
 import typer
 
 from ...cli import inputs, options, stopping

@@ -1,10 +1,8 @@
 """Production of a data set, sample by sample, so that a killed run resumes where it was."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,18 +14,7 @@ from ...report import images, plots
 from ...runtime import Array, BatchMap, Progress, h5py_module, locked, remove_leftovers, write_text
 from .recipe import Recipe
 from .sample import Sample, make_sample, open_sample
-from .shards import (
-    CARD,
-    LOCK,
-    PREVIEW,
-    DataFolder,
-    DataSet,
-    claim,
-    open_shard,
-    read_sample,
-    samples_in,
-    write_samples,
-)
+from .shards import CARD, LOCK, PREVIEW, DataFolder, DataSet, claim, open_shard, read_sample, samples_in, write_samples
 
 
 @dataclass(frozen=True)
@@ -56,11 +43,7 @@ class SampleTask:
 
 
 def make_dataset(
-    recipe: Recipe,
-    folder: str | Path,
-    *,
-    batch_map: BatchMap | None = None,
-    progress: Progress | None = None,
+    recipe: Recipe, folder: str | Path, *, batch_map: BatchMap | None = None, progress: Progress | None = None
 ) -> DataSet:
     """Make a data set, or resume an interrupted run with the same bits.
 
@@ -135,7 +118,7 @@ def _produce(recipe: Recipe, layout: DataFolder, batch_map: BatchMap | None, pro
             finished = recipe.count - len(waiting)
             progress(round(1000 * (finished + done / max(total, 1))), 1000 * recipe.count)
 
-    results: Iterable[int] = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
+    results = batch_map(tasks) if batch_map and tasks else (task.make(report) for task in tasks)
     for shard in range(layout.shards):
         pack(shard)
     report(0, 1)

@@ -1,7 +1,5 @@
 """Contents of a sample of dual or quad pixels: pictures of the photodiodes, and ground truth of each lens."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import drjit as dr

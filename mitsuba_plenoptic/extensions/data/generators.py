@@ -3,8 +3,6 @@
 Other extensions add theirs by `generators` of their records; what they show need not be a scene of Mitsuba's.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -184,12 +182,7 @@ class Shapes:
             size = self.size * max(field) * random.uniform(0.5, 1.5)
             objects[f"object_{index}"] = self._object(kind, position, size, self.tilt, self.plain, lens, random)
         middle = 2 / (1 / near + 1 / far)
-        return {
-            "type": "scene",
-            "integrator": {"type": "direct"},
-            **light.emitters(random, middle),
-            **objects,
-        }
+        return {"type": "scene", "integrator": {"type": "direct"}, **light.emitters(random, middle), **objects}
 
     def _object(
         self,

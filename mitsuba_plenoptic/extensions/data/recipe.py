@@ -1,7 +1,5 @@
 """The recipe of a data set: which scenes, cameras, light and noise, and how often; from YAML or JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 import zlib
@@ -178,13 +176,7 @@ class Recipe:
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    """
+    """Read a recipe from a YAML or JSON file; scenes that it names lie in the same folder."""
     path = Path(path)
     content = read_yaml(path)
     refuse_if(
@@ -227,16 +219,9 @@ def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
     refuse_if(
         noise is not None and "photons" not in noise, "noise: photons is missing: photons that hit a pixel of value 1"
     )
-    scenes = content["scenes"]
-    refuse_if(
-        not isinstance(scenes, list) or not scenes,
-        f"scenes = {short_repr(scenes)}: it must be a list of scenes and generators",
-    )
-    truth = content.get("truth", ["depth", "normal"])
-    refuse_if(
-        not isinstance(truth, list),
-        f"truth = {short_repr(truth)}: it must be a list of some of {', '.join(choices.QUANTITIES)}",
-    )
+    scenes = _list_of("scenes and generators", "scenes", content["scenes"])
+    quantities = f"some of {', '.join(choices.QUANTITIES)}"
+    truth = _list_of(quantities, "truth", content.get("truth", ["depth", "normal"]), least=0)
     photodiodes = None
     if "photodiodes" in content:
         with naming("photodiodes"):
@@ -281,24 +266,35 @@ def _source(index: int, entry: Any, folder: Path) -> Source:
         values = {key: value for key, value in entry.items() if key in settings}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
     require_known(f"{name}: ", entry, ("scene", "share", "parameters", "unit"))
-    values = entry.get("parameters", {})
-    refuse_if(
-        not isinstance(values, Mapping), f"{name}: parameters = {short_repr(values)}: they must be values by name"
-    )
+    given = _values_by_name(f"{name}: parameters", entry.get("parameters", {}))
     scene = str(entry["scene"])
     with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
-    parsed = {str(key): parse(f"{name}: {key}", value) for key, value in values.items()}
+    parsed = {str(key): parse(f"{name}: {key}", value) for key, value in given.items()}
     unit = require_choice(f"{name}: unit", entry.get("unit", "mm"), UNITS)
     return Source(None, str(path.resolve()), share, parsed, unit)
 
 
 def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     """Return the parsed values of a section of a recipe; refuse unknown names."""
-    section = content.get(name, {})
-    refuse_if(not isinstance(section, Mapping), f"{name} = {short_repr(section)}: it must be values by name")
+    section = _values_by_name(name, content.get(name, {}))
     require_known(f"{name}: ", section, names)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
+
+
+def _values_by_name(name: str, values: Any) -> Mapping[str, Any]:
+    """Return a mapping; refuse anything else."""
+    refuse_if(not isinstance(values, Mapping), f"{name} = {short_repr(values)}: it must be values by name")
+    return values
+
+
+def _list_of(what: str, name: str, values: Any, least: int = 1) -> list[Any]:
+    """Return a list of at least so many entries; refuse anything else."""
+    refuse_if(
+        not isinstance(values, list) or len(values) < least,
+        f"{name} = {short_repr(values)}: it must be a list of {what}",
+    )
+    return values
 
 
 def generator(seed: int, index: int, name: str) -> np.random.Generator:
@@ -343,12 +339,7 @@ def parse(name: str, value: Any) -> Any:
     if not isinstance(value, Mapping):
         return value
     if set(value) == {"one_of"}:
-        values = value["one_of"]
-        refuse_if(
-            not isinstance(values, list) or not values,
-            f"{name}: one_of = {short_repr(values)}: it must be a list of values",
-        )
-        return OneOf(tuple(values))
+        return OneOf(tuple(_list_of("values", f"{name}: one_of", value["one_of"])))
     require_known(f"{name}: ", value, ("from", "to", "scale", "step", "one_of"))
     refuse_if(
         "one_of" in value or not {"from", "to"} <= set(value),

@@ -1,7 +1,5 @@
 """One sample of a data set: captures of a scene by one camera, ground truth, and all parameters drawn for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -119,7 +117,7 @@ def make_sample(recipe: Recipe, index: int, progress: Progress | None = None) ->
     plan = recipe.plan(index)
     scene = open_sample(recipe, plan)
     arrays: dict[str, Array] = {}
-    about: dict[str, Any] = {}
+    about = {}
 
     def seed(name: str) -> int:
         return int(generator(recipe.seed, index, f"seed.{name}").integers(2**32))

@@ -4,8 +4,6 @@ A file has a group for each sample, named by the index in six digits, with the s
 checksum with each, so that a damaged sample is refused when it is read. The same samples give the same bytes.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import operator
@@ -108,9 +106,6 @@ def claim(folder: Path, recipe: Recipe) -> DataFolder:
 
 
 _FACTS = "facts"
-
-_MOST_OPEN = 32
-"""Files that a data set keeps open: systems allow a process a few hundred, and large data sets have thousands."""
 
 _log = logging.getLogger(__name__)
 
@@ -234,7 +229,9 @@ class DataSet:
             self._files = {}
             self._process = os.getpid()
         if shard not in self._files:
-            if len(self._files) >= _MOST_OPEN:
+            # Files that a data set keeps open: systems allow a process a few hundred, and large data sets have
+            # thousands.
+            if len(self._files) >= 32:
                 # It is closed once no other thread reads it.
                 del self._files[next(iter(self._files))]
             self._files[shard] = open_shard(self._layout.shard(shard))

@@ -1,7 +1,5 @@
 """Coarse fits that bring a camera close enough to the true one for `fit` to converge."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -58,9 +56,7 @@ def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     # Steps (a, b) along the rows and q (-b, a) across them, of which the ratio q of the pitches is refined in turn.
     ratio = camera.mla_pitches[1] / camera.mla_pitches[0]
     for _ in range(8):
-        rows = np.concatenate(
-            [np.stack([u, -ratio * v, ones, none], 1), np.stack([ratio * v, u, none, ones], 1)],
-        )
+        rows = np.concatenate([np.stack([u, -ratio * v, ones, none], 1), np.stack([ratio * v, u, none, ones], 1)])
         (a, b, left, up), *_ = np.linalg.lstsq(rows, np.concatenate([x, y]), rcond=None)
         if np.ndim(camera.to_dict()["mla_pitch"]) == 0:
             break
@@ -74,18 +70,8 @@ def _fitted(camera: PlenopticCamera, position: Doubles) -> PlenopticCamera:
     )
 
 
-_BLURS = (2.0, 1.0, 0.5, 0.25, 0.125)
-"""Standard deviations of the Gaussians that blur captures, in microlenses, one after the other."""
-
-_SHARPEST = 1.0
-"""Least of them, in pixels."""
-
-
 _MOST_STEPS = 15
-"""Cameras that are tried with each."""
-
-_AT_BOUND = 1e-3
-"""A parameter is at a bound if it is nearer than this part of what lies between its bounds."""
+"""Cameras that are tried with each blur."""
 
 
 def coarse_fit(
@@ -128,7 +114,8 @@ def coarse_fit(
     check_numbers(vector)
     low, high = vector.limits(bounds)
     models = RayModels(camera, observations, require_wavelength(wavelength))
-    blurs = np.unique(np.maximum(np.array(_BLURS) * camera.pixels_per_lens, _SHARPEST))[::-1].tolist()
+    # Standard deviations of the Gaussians that blur captures, one after the other: in microlenses, at least a pixel.
+    blurs = np.unique(np.maximum(np.array((2.0, 1.0, 0.5, 0.25, 0.125)) * camera.pixels_per_lens, 1.0))[::-1].tolist()
     fitted = camera
     tried = 0
     first = 0
@@ -157,7 +144,8 @@ def coarse_fit(
             tried_in_all = np.array([stage * _MOST_STEPS], np.float64)
             checkpoint.save_arrays(partial(dict, numbers=vector.of(fitted).values, tried=tried_in_all))
     x = vector.of(fitted).values
-    stuck = np.minimum(x - low, high - x) <= _AT_BOUND * (high - low)
+    # A parameter is at a bound if it is nearer than this part of what lies between its bounds.
+    stuck = np.minimum(x - low, high - x) <= 1e-3 * (high - low)
     if stuck.any():
         named = ", ".join(f"{vector.labels[index]} = {x[index]:.6g}" for index in np.flatnonzero(stuck))
         warn(f"coarse_fit: at a bound: {named}: start nearer, give other bounds, or fit fewer parameters")

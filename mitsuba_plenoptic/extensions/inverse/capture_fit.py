@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -127,9 +127,12 @@ def fit(
             if label not in vector.labels
         }
         facts = {"numbers": vector.labels, "bounds": dict(bounds or {}), "camera": fixed}
-        x = np.clip(
-            trial.go_on(checkpoint, start, **facts, **settings, light_digest=light_digest(observations)), *limits
-        )
+        trial.checkpoint = checkpoint
+        arrays = checkpoint.begin_arrays(**facts, **settings, light_digest=light_digest(observations))
+        if arrays is not None:
+            # Those of an earlier run of the same fit.
+            x, trial.count = kept_numbers(arrays, start.shape)
+        x = np.clip(x, *limits)
 
     def pixels_at(x: Doubles) -> Pixels:
         return Pixels.of(observations, trial.expected(x), default)
@@ -216,12 +219,3 @@ class _Trials:
         if self._slopes is None:
             self._slopes = self._model.derivatives(self.vector, images)
         return self._slopes
-
-    def go_on(self, checkpoint: Checkpoint, start: Doubles, **facts: Any) -> Doubles:
-        """Save the parameters in a checkpoint; return those of an earlier run of the same fit, or else the start."""
-        self.checkpoint = checkpoint
-        arrays = checkpoint.begin_arrays(**facts)
-        if arrays is None:
-            return start
-        x, self.count = kept_numbers(arrays, start.shape)
-        return x

@@ -1,7 +1,5 @@
 """The search for camera parameters that maximise a figure of merit."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -13,9 +11,6 @@ from ...errors import InputError, refuse_if, require_count, short_repr
 from ...runtime import Doubles
 from .merit import Gradient
 from .point_rays import vector_of
-
-_TOLERANCE = 1e-6
-"""Relative change of the figure that ends a search."""
 
 
 class Figure(Protocol):
@@ -110,7 +105,8 @@ def maximise(
             progress(tried, value, best[1])
         return -value, -vector.slopes(slopes) * (high - low)
 
-    options = {"maxiter": require_count("steps", steps), "ftol": _TOLERANCE}
+    # Relative change of the figure that ends a search.
+    options = {"maxiter": require_count("steps", steps), "ftol": 1e-6}
     result = minimize(
         cost,
         (vector.values - low) / (high - low),

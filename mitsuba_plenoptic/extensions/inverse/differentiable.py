@@ -378,7 +378,7 @@ class _BinnedPower:
         sent = float(image.sum(dtype=np.float64))
         if checked and sent:
             guards.check(guards.PUPIL, 1 - passed / sent)
-        power: Any = sum(field.real**2 + field.imag**2 for field in self._at)
+        power = sum(field.real**2 + field.imag**2 for field in self._at)
         bins = active_backend().to_host(self._sums.forward([(slice(None), power)]))
         spread = bins if refocus._spread is None else refocus._spread.forward(bins)
         self._lit = spread > 0
@@ -401,9 +401,7 @@ class _BinnedPower:
     def jvp(self, change: Doubles) -> Doubles:
         """Return the change of the bins for a change of the capture."""
         moved, _ = self._fields((self._slope * change).astype(np.float32))
-        power: Any = sum(
-            2 * (field.conj() * field_change).real for field, field_change in zip(self._at, moved, strict=True)
-        )
+        power = sum(2 * (field.conj() * field_change).real for field, field_change in zip(self._at, moved, strict=True))
         bins = active_backend().to_host(self._sums.jvp(power))
         return np.where(self._lit, bins if self._refocus._spread is None else self._refocus._spread.forward(bins), 0)
 
@@ -426,8 +424,6 @@ class DeconvolvedRefocus:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance in scene units, beyond the focal length; may be infinite.
     wavelength : float, optional

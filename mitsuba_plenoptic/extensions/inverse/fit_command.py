@@ -75,20 +75,19 @@ def fit(
     import numpy as np
 
     from ...io import CHECKPOINT_SUFFIX, read_capture, read_picture
-    from ...runtime import DEFAULT_VARIANT, require_apart, require_writable
+    from ...runtime import DEFAULT_VARIANT, require_output
     from ...scene import load_scene
     from . import fitting
     from .point_rays import vector_of
 
     if len(scene) != len(captures):
         raise typer.BadParameter(f"{len(captures)} captures and {len(scene)} scenes", param_hint="--scene")
-    require_apart(require_writable(output), *captures, mask)
+    require_output(output, *captures, mask)
     read = [read_capture(path) for path in captures]
     noises = [fitting.noise_of(capture) for capture in read]
     for path, (noise, _) in zip(captures, noises, strict=True):
         refuse_if(
-            noise is None and photons is None,
-            f"{path}: it keeps no noise, as 'expose' has not made it; give --photons",
+            noise is None and photons is None, f"{path}: it keeps no noise, as 'expose' has not made it; give --photons"
         )
         if noise is not None and photons is not None:
             raise InputError(

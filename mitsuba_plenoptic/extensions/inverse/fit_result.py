@@ -1,7 +1,5 @@
 """The result of a fit, its uncertainty, and reasons to doubt it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -12,18 +10,8 @@ from ...errors import refuse_if
 from ...runtime import Doubles
 from .fit_light import Pixels, View
 
-_FAR = 5.0
-"""Standard deviations of chi-square by which it may differ from 1."""
-
-_AT_BOUND = 1e-2
-_OF_RANGE = 1e-6
-"""A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds."""
-
 _BRIGHTER = 3.0
 """Factor between the light of captures and model above which their units are doubted."""
-
-_SAME = 10
-"""Pixels of the same highest value above which saturation is suspected."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +36,6 @@ class Fit:
 
     Attributes
     ----------
-    camera : PlenopticCamera
-        The camera.
     values, deviations : dict
         Fitted parameters and their standard deviations by name; parameters with several values are numbered from 1:
         ``mla_offset.1``.
@@ -106,7 +92,8 @@ def summary(
     low = (x - limits[0]) / unit
     high = (limits[1] - x) / unit
     gap = np.where(slope > 0, low, high)
-    at_bound = gap <= np.maximum(_AT_BOUND * _one_sided(rows, slope, range(len(x))), _OF_RANGE * (low + high))
+    # A parameter is at a bound if it is nearer than this part of its deviation, or of what lies between its bounds.
+    at_bound = gap <= np.maximum(1e-2 * _one_sided(rows, slope, range(len(x))), 1e-6 * (low + high))
     free = np.flatnonzero(~at_bound)
     covariance = np.zeros((len(x), len(x)))
     effective = 0.0
@@ -175,7 +162,8 @@ def doubts(result: Fit, views: Sequence[View], expected: Doubles) -> Iterator[st
             "others hold it there"
         )
     # Written so that NaN is also doubted.
-    if abs(result.chi_square - 1) <= _FAR * result.chi_square_deviation:
+    # 5.0: Standard deviations of chi-square by which it may differ from 1.
+    if abs(result.chi_square - 1) <= 5.0 * result.chi_square_deviation:
         return
     hints = ""
     lit, modelled = (
@@ -187,7 +175,8 @@ def doubts(result: Fit, views: Sequence[View], expected: Doubles) -> Iterator[st
     for view in views:
         top = view.image[view.used].max()
         same = int((view.image == top).sum())
-        if view.saturation is None and same > _SAME:
+        # Pixels of the same highest value above which saturation is suspected.
+        if view.saturation is None and same > 10:
             hints += f"; {same} pixels have the same highest value, {top:g}: if they are saturated, give saturation"
     yield (
         f"chi-square is {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} a pixel, not 1: camera, light or "

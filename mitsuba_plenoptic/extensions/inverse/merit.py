@@ -1,7 +1,5 @@
 """Figures of merit of a camera with their gradients: sharpness, and the information on depth."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
@@ -115,8 +113,6 @@ class RefocusedContrast:
 
         Parameters
         ----------
-        camera : PlenopticCamera
-            The camera.
         names : iterable of str
             The parameters.
 
@@ -169,10 +165,6 @@ class RefocusedContrast:
                     slope += (along[:, None] if across else along) - size / light**2
             gradients.append(refocus.adjoint(slope / count))
         return total / count, np.stack(gradients)
-
-
-_WAVES = 0.01
-"""Waves by which a point is moved: the change of its path to the rim of the pupil, against that to the middle."""
 
 
 class DepthInformation:
@@ -286,7 +278,8 @@ class DepthInformation:
         """
         points = self._spreads.points
         g = points[:, 2]
-        path = _WAVES * self._spreads.wavelength * 1e-6
+        # 0.01: Waves by which a point is moved: the change of its path to the pupil's rim, against that to the middle.
+        path = 0.01 * self._spreads.wavelength * 1e-6
         objective = camera.objective
         if objective is None:
             sideways = path * np.abs(g) / camera.aperture_radius

@@ -13,12 +13,7 @@ import drjit as dr
 import numpy as np
 
 from ...array import make_lattice
-from ...camera import (
-    CameraVector,
-    PlenopticCamera,
-    Use,
-    require_support,
-)
+from ...camera import CameraVector, PlenopticCamera, Use, require_support
 from ...errors import refuse_if, short_repr
 from ...fields import OpticalSystem
 from ...lenses import MainLens, convergence
@@ -99,26 +94,8 @@ class WaveModel:
         return np.stack(rows, 1).astype(np.float64)
 
 
-_PER_PIXEL = 4.0
-_ENOUGH = 96.0
-"""Rays across a pixel, and across a micro-image that is so large that one ray a pixel shows its edge well enough."""
-
-_PER_LENS = 12.0
-_FEWEST = 16.0
-"""Rays across a microlens and across the pupil at least."""
-
 _STEPS_OF_COUNTS = 2
 """Steps, to each doubling, of how many rays lie across the pupil: few kernels are compiled."""
-
-_TOGETHER = 1 << 22
-_RAY_BYTES = 100
-"""Rays that are followed at once, unless a point has more, and what each takes."""
-
-_REACH = 0.75
-"""Distance from a cell, in pitches, of the centres of all lenses that it touches."""
-
-_SHARPEST = 1e-3
-"""Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one point."""
 
 
 class PointRays:
@@ -142,11 +119,14 @@ class PointRays:
         on_array, on_detector = (2 * float(lens.pupil.radius) * abs(scale) for scale in _scales(camera, lens, points))
         pixels = on_detector / camera.pixel_size
         lenses = on_array / min(camera.mla_pitches)
-        sharp = np.clip(_PER_PIXEL * pixels, _FEWEST, np.maximum(_ENOUGH, pixels))
-        steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, _PER_LENS * lenses)))
+        # 4 rays across a pixel, or 96 across a micro-image that is so large that one ray a pixel shows its edge well
+        # enough; 12 across a microlens, and 16 across the pupil at least.
+        sharp = np.clip(4.0 * pixels, 16.0, np.maximum(96.0, pixels))
+        steps = np.ceil(_STEPS_OF_COUNTS * np.log2(np.maximum(sharp, 12.0 * lenses)))
         self._across = np.ceil(2 ** (steps / _STEPS_OF_COUNTS)).astype(int)
         most = int(self._across.max(initial=0))
-        check_memory(_RAY_BYTES * float(most) ** 2, f"points by {most} x {most} rays")
+        # Of 100 bytes each.
+        check_memory(100 * float(most) ** 2, f"points by {most} x {most} rays")
 
     @one_at_a_time
     def image(self, system: OpticalSystem, weights: Doubles) -> Doubles:
@@ -159,7 +139,8 @@ class PointRays:
         image = dr.zeros(array_module().Float64, math.prod(camera.shape))
         for across in np.unique(self._across).tolist():
             which = np.flatnonzero(self._across == across)
-            together = max(1, _TOGETHER // across**2)
+            # Rays that are followed at once, unless a point has more.
+            together = max(1, 2**22 // across**2)
             for first in range(0, len(which), together):
                 some = which[first : first + together]
                 own = None if self._pupil_weights is None else self._pupil_weights.take(some)
@@ -251,7 +232,8 @@ class _Bundles:
         u, v = lattice.to_frame(position[0] - lattice.offset[0], position[1] - lattice.offset[1])
         u = u / lattice.pitches[0]
         v = v / lattice.row_distance
-        fade = dr.maximum(width / dr.minimum(*lattice.pitches), _SHARPEST)
+        # Least width, in pitches, over which borders of lenses fade: in focus all rays meet in one point.
+        fade = dr.maximum(width / dr.minimum(*lattice.pitches), 1e-3)
 
         def away(i: Any, j: Any) -> Pair:
             cu, cv = lattice.unit_centre(i, j)
@@ -259,7 +241,8 @@ class _Bundles:
 
         x, y = away(*cell)
         found = []
-        for step in plain.neighbours(_REACH * max(plain.pitches)).tolist():
+        # Distance from a cell, in pitches, of the centres of all lenses that it touches.
+        for step in plain.neighbours(0.75 * max(plain.pitches)).tolist():
             lens = cell[0] + step[0], cell[1] + step[1]
             dx, dy = away(*lens)
             across, up = np.subtract(lattice.unit_centre(*step), lattice.unit_centre(0, 0))
@@ -288,13 +271,6 @@ class _Bundles:
             lit = power * across * down
             seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (lit > 0)
             dr.scatter_reduce(dr.ReduceOp.Add, image, lit, UInt32(row * columns + column), seen)
-
-
-_STEP = 1e-4
-"""Change of a parameter to either side for its derivative, in `scales`: less than bright captures resolve.
-
-Over longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
-"""
 
 
 def check_numbers(vector: CameraVector) -> None:
@@ -343,7 +319,9 @@ class RayModel:
         """Return the derivatives of `images`, an array (parameters, views, rows, columns), by central differences."""
         own = vector.of(self.camera)
         x = own.values
-        steps = _STEP * own.scales
+        # Change of a parameter to either side for its derivative, in `scales`: less than bright captures resolve. Over
+        # longer ones dark pixels next to edges of the light seem to change with a parameter that does not light them.
+        steps = 1e-4 * own.scales
         rows = np.empty((len(x), *images.shape))
         for index, step in enumerate(steps.tolist()):
             sides = (x + side * step * (np.arange(len(x)) == index) for side in (1, -1))

@@ -16,8 +16,6 @@ from ...runtime import drjit_array, one_at_a_time
 from ...scene import MOST_SAMPLES
 from .array_functions import Shape
 
-_NO_DERIVATIVES = "give floating-point numbers, vectors, colours or textures of a variant with derivatives"
-
 
 class Rendering:
     """Image of a scene as a function of some of its parameters, given as NumPy or Dr.Jit tensors.
@@ -51,7 +49,9 @@ class Rendering:
         for name, shape in shapes.items():
             kind = type(self.parameters[name])
             refuse_if(
-                not dr.is_diff_v(kind) or not dr.is_float_v(kind), f"{name}: it is {kind.__name__}: {_NO_DERIVATIVES}"
+                not dr.is_diff_v(kind) or not dr.is_float_v(kind),
+                f"{name}: it is {kind.__name__}: give floating-point numbers, vectors, colours or textures of a "
+                "variant with derivatives",
             )
             expected = self._expected[name] = np.shape(np.array(self.parameters[name]))
             # One number may have no axis.

@@ -1,11 +1,8 @@
 """Point spreads one by one, each in the pixels that it reaches."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +62,7 @@ class PatchSpreads(PatchPlan):
                 for points, shift, recorder in self._recorded(pattern):
                     dx, dy = shift.tolist()
                     box = recorder.box
-                    samples: Any = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
+                    samples = active_backend().arrays.zeros((1, box.rows, box.columns), np.float32)
                     moved = replace(spread.box, left=spread.box.left + dx, top=spread.box.top + dy)
                     add(Part(moved, sums[None]), box, samples)
                     yield Spread(points, recorder.window, recorder.integrate(samples[0]))

@@ -1,7 +1,5 @@
 """The wave camera as a sparse matrix: point spreads are computed once and stored."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any

@@ -15,8 +15,6 @@ copies of one sphere, shifted by :math:`m = -u / v`. Their sum is a convolution 
 plane (`Spheres`). The transform of the points is again a non-uniform one.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Iterator
@@ -35,9 +33,6 @@ from .nonuniform import PlaneWaves
 
 _FADED = 0.3
 """Width of the edge over which the sphere is faded out, over the half width of the part of it that is needed."""
-
-_FARTHEST = 1e20
-"""Largest distance of the middle of a layer or of its images, in millimetres."""
 
 
 class PupilGrid:
@@ -236,7 +231,8 @@ def _images(lens: ThinLens, points: Doubles) -> tuple[float, Doubles]:
 
 def _finite_inverse(nearness: float) -> float:
     """Return the reciprocal of a mean inverse distance, finite also where points on opposite sides make it zero."""
-    return 1 / math.copysign(max(abs(nearness), 1 / _FARTHEST), nearness)
+    # At most 1e20 mm, the largest distance of the middle of a layer or of its images.
+    return 1 / math.copysign(max(abs(nearness), 1e-20), nearness)
 
 
 def _reach(images: Doubles, grid: PupilGrid) -> float:

@@ -4,8 +4,6 @@ The field on the pupil is a sum over layers of distance (see `pupil_sums`). It p
 same chain as a single point's field (see `points.full_fields`), and so does the adjoint back.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 from typing import Any
@@ -73,7 +71,7 @@ class CoherentFields:
         """Return the inner product of each point's field with samples of one of the planes."""
         arrays = active_backend().arrays
         grid = self._pupil
-        field: Field = arrays.asarray(samples, np.complex64)
+        field = arrays.asarray(samples, np.complex64)
         if plane == "pupil":
             field = arrays.ascontiguousarray(field[grid.rows, grid.columns])
         else:

@@ -1,7 +1,5 @@
 """The integrator plugin ``plenoptic_laser``: captures of scenes with laser light."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

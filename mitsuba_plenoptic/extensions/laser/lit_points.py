@@ -10,8 +10,6 @@ in the units of captures. Lasers are mutually coherent: the fields of several th
 of their paths, so that the reflected light has the fringes of their interference.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,9 +48,6 @@ _SPOKES = 32
 
 _LANES = 2**20
 """Number of chief rays that are traced at once."""
-
-_POINT_BYTES = 64.0
-"""Memory of a lit point."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +97,8 @@ class LaserScene:
         spot = in_millimetres(self.system.wavelength) * lens.pupil.distance / (2 * lens.pupil.radius)
         count = np.ceil(2 * half / spot * math.sqrt(per_spot)).astype(int)
         total = math.prod(count.tolist())
-        require_memory(_POINT_BYTES * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
+        # Memory of a lit point.
+        require_memory(64.0 * total, f"points_per_spot = {per_spot:g}: {total} rays to points")
         cell = 2 * half / count
         parts = []
         for first in range(0, total, _LANES):

@@ -21,9 +21,6 @@ from ...errors import refuse_if, require_number, require_wavelength, suggest_key
 from ...optics import in_millimetres
 from ...runtime import Doubles
 
-_NODES = 400
-"""Nodes of the integral over angles."""
-
 
 @suggest_keywords
 def mode_count(
@@ -97,7 +94,8 @@ def mode_count(
         # Small angular radii, in units of the smaller one, so that small ones do not vanish when they are squared.
         radii = (size / 2 / far, camera.aperture_radius / distance)
         source, pupil = (radius / min(radii) for radius in radii)
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        # Nodes of the integral over angles.
+        nodes, weights = np.polynomial.legendre.leggauss(400)
         step = nodes + 1
         overlap = _overlap(step / (2 * source)) * _overlap(step / (2 * pupil)) ** 2
         modes = float(source**2 / 2 / np.sum(weights * overlap * step))

@@ -10,8 +10,6 @@ that occur are stored and transformed: laser spots occupy some tenth of them alo
 the same error, takes 2.6 to 5 times the processor time of a sum.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

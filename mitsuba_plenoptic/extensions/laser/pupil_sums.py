@@ -14,8 +14,6 @@ decomposition (Candes, Demanet and Ying, "A fast butterfly algorithm for the com
 points, and no step is paraxial.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -30,21 +28,15 @@ from ...lenses import ThinLens
 from ...optics import in_millimetres, phasor, soft_edge
 from ...points import blocks
 from ...runtime import Array, Doubles, Field, Integers, active_backend, array_module, fft
-from .carriers import Carrier, PupilGrid, Spheres, Tilts
+from .carriers import PupilGrid, Spheres, Tilts
 
 _TOLERANCE = 5e-6
 """Error of the separated field, relative to its modulus: about that of single precision."""
 
-_NODES = range(6, 49, 2)
-"""Numbers of Chebyshev nodes across the pupil that are tried, one after another."""
-
 _TRIED = 64
 """Points of a layer for which the interpolation is tried, and positions on the pupil."""
 
-_DIAGONALS = np.array(
-    [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)],
-    np.float64,
-)
+_DIAGONALS = np.array([(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, -1, 0), (0, 0, 1), (1, 1, 1), (1, -1, 1)], np.float64)
 """Directions in the tilt along x and y, and nearness, of a layer's points."""
 
 _BASIS = 2048
@@ -56,15 +48,8 @@ _TOGETHER = 2**22
 _MISSED = 5e-5
 """Error of a single point's separated field beyond which products are added for it."""
 
-_ADDED = 256
-"""Largest number of such points from which products are found together."""
-
-_WIDEST = 4.0
-"""Largest width of the window in which spheres are summed, over that of the pupil."""
-
-_RINGS = 8
 _SPOKES = 24
-"""Positions on the pupil at which the power of a point's light is summed: exact for polynomials of degree 15."""
+"""Positions on a ring of the pupil at which the power of a point's light is summed."""
 
 
 class Layer:
@@ -74,7 +59,7 @@ class Layer:
         self._lens = lens
         self._wavelength = system.wavelength
         self._grid = grid
-        carrier: Carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
+        carrier = carrier_type(lens, points, grid)(lens, system.wavelength, points, grid)
         self._carrier = carrier
         nodes = self._nodes(points)
         on_device = active_backend().arrays.asarray
@@ -159,7 +144,8 @@ class Layer:
         y = radius * np.sin(angle)
         exact = self._remainder(x * self._lens.pupil.radius, y * self._lens.pupil.radius, points, some)
         scale = self._lens.pupil.radius / self._half
-        for count in _NODES:
+        # Numbers of Chebyshev nodes across the pupil that are tried, one after another.
+        for count in range(6, 49, 2):
             nodes = np.cos((np.arange(count) + 0.5) * (math.pi / count))
             at = [mesh.ravel() * self._half for mesh in np.meshgrid(nodes, nodes)]
             factors = self._remainder(at[0], at[1], points, some)
@@ -185,7 +171,8 @@ class Layer:
 
 def carrier_type(lens: ThinLens, points: Doubles, grid: PupilGrid) -> type[Spheres | Tilts]:
     """Return the kind of carrier waves that leaves the smallest remainder: spheres behind an ideal lens, else tilts."""
-    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= _WIDEST * grid.count
+    # Largest width of the window in which spheres are summed, over that of the pupil.
+    spheres = lens.model == "ideal" and Spheres.window(lens, points, grid) <= 4.0 * grid.count
     return Spheres if spheres else Tilts
 
 
@@ -202,7 +189,8 @@ def layers(system: OpticalSystem, lens: ThinLens, points: Doubles) -> list[Integ
 
 def passed_power(lens: ThinLens, points: Doubles) -> Doubles:
     """Return the squared amplitude of each point's light, integrated over the pupil, (n,)."""
-    nodes, weights = np.polynomial.legendre.leggauss(_RINGS)
+    # 8 rings: exact for polynomials of degree 15.
+    nodes, weights = np.polynomial.legendre.leggauss(8)
     radius = lens.pupil.radius * np.sqrt((nodes + 1) / 2)
     angle = 2 * math.pi * np.arange(_SPOKES) / _SPOKES
     x, y = (np.outer(radius, turn(angle)).ravel()[:, None] for turn in (np.cos, np.sin))
@@ -222,7 +210,8 @@ def _completed(
     while True:
         coefficients = basis.conj().T @ factors
         error = 1 - _squares(coefficients) / power
-        worst = np.argsort(error)[-_ADDED:]
+        # 256: Points that miss at most from which products are found together.
+        worst = np.argsort(error)[-256:]
         worst = worst[error[worst] > _MISSED**2]
         if not len(worst):
             return basis, coefficients

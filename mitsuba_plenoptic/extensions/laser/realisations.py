@@ -30,12 +30,7 @@ _BRIGHTEST = 1e30
 @suggest_keywords
 @one_at_a_time
 def coherent_capture(
-    operator: CaptureOperator,
-    weights: Any,
-    *,
-    modes: int = 1,
-    seed: int = 0,
-    job: Job | None = None,
+    operator: CaptureOperator, weights: Any, *, modes: int = 1, seed: int = 0, job: Job | None = None
 ) -> NDArray[np.float32]:
     r"""Average the intensities of several realisations of mutually coherent points with random phases.
 

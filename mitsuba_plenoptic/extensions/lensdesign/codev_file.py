@@ -1,7 +1,5 @@
 """CODE V ``.seq`` files: sequential lenses of spheres, conics and even aspheres around one axis."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path
@@ -52,7 +50,7 @@ def read_codev(path: str | Path) -> Prescription:
 
 def _commands(path: Path, text: str) -> list[Line]:
     """Return the commands of a file: ``;`` separates them, ``&`` continues a line, ``!`` begins a remark."""
-    commands: list[Line] = []
+    commands = []
     words: list[str] = []
     continued = False
     for line_number, line in enumerate(text.splitlines(), start=1):

@@ -4,8 +4,6 @@ Both readers know the keywords that they support and those that do not change th
 refused by file, line and rule, so that no lens is read as a different one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import logging
@@ -245,7 +243,7 @@ class DesignReader:
 
 def _optical(surfaces: list[DesignSurface]) -> dict[int, DesignSurface]:
     """Return the object and surfaces by their numbers, without planes between air and air that have no aperture."""
-    optical: dict[int, DesignSurface] = {}
+    optical = {}
     before = None
     for number, surface in enumerate(surfaces):
         bends = surface.curvature or any(surface.asphere) or surface.glass is not None or before is not None

@@ -1,7 +1,5 @@
 """Zemax ``.zmx`` files: sequential lenses of spheres, conics and even aspheres around one axis."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

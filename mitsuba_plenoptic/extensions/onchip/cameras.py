@@ -22,8 +22,6 @@ below each lens; `dual_pixel` adds those that form a larger photodiode. Main len
 at 1 m.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

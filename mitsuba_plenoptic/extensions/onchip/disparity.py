@@ -35,8 +35,6 @@ def half_disparity(camera: PlenopticCamera, distance: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Object distance from the main lens in millimetres; may be infinite.
     """

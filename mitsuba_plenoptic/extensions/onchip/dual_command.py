@@ -1,7 +1,5 @@
 """The command ``dual``: pictures of the photodiodes of dual and quad pixels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -39,12 +37,12 @@ def dual(
     import numpy as np
 
     from ...io import read_capture
-    from ...report import as_parts, plots, require_picture_path, write_drawn
-    from ...runtime import require_apart
+    from ...report import as_parts, plots, write_drawn
+    from ...runtime import require_output
     from ...views import view_mosaic
     from .halves import dual_pixel, photodiode_names
 
-    require_apart(require_picture_path(output), capture)
+    require_output(output, capture)
     drawing = inputs.drawing_of(picture, output)
     along, across = layout.split("x")
     halves = dual_pixel(read_capture(capture), (int(along), int(across)))

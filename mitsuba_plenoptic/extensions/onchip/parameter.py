@@ -29,8 +29,6 @@ _WAVES = (
     | Use.SCENE_DERIVATIVES
     | Use.POINT_DERIVATIVES
 )
-_RECONSTRUCTIONS = Use.RESPONSES | Use.FIELDS
-_GEOMETRY = Use.RAY_REFOCUSING | Use.DECODING | Use.WHITE_IMAGES
 
 
 def require_fit(camera: CameraGeometry) -> None:
@@ -57,8 +55,11 @@ PHOTODIODE_RESPONSE: PhotodiodeParameter = Parameter(
     otherwise="that of the microlenses",
     support=(
         refused(_WAVES, "the table contains the diffraction of microlenses", "ray captures"),
-        refused(_RECONSTRUCTIONS, "light goes back through microlenses that refract", "method ray"),
-        approximate(_GEOMETRY, "pixels count as equal behind microlenses that refract"),
+        refused(Use.RESPONSES | Use.FIELDS, "light goes back through microlenses that refract", "method ray"),
+        approximate(
+            Use.RAY_REFOCUSING | Use.DECODING | Use.WHITE_IMAGES,
+            "pixels count as equal behind microlenses that refract",
+        ),
     ),
     of_array=True,
 )

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...errors import (
-    put,
-    refuse_if,
-    require_numbers,
-    require_wavelength,
-    short_repr,
-)
+from ...errors import put, refuse_if, require_numbers, require_wavelength, short_repr
 from ...runtime import Doubles, PlainData, as_array, known_record
 
 if TYPE_CHECKING:

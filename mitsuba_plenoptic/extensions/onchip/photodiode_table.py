@@ -1,7 +1,5 @@
 """Responses of photodiodes for single rays, in Dr.Jit."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -46,7 +44,7 @@ class PhotodiodeTable:
         first = mi.UInt32(side[1] * 2 + side[0]) * count
 
         def at(layer: Any) -> Any:
-            total: Any = mi.Float(0)
+            total = mi.Float(0)
             for (j, down), (i, across) in itertools.product(*places):
                 index = ((first + layer) * sizes[0] + j) * sizes[1] + i
                 total += down * across * dr.gather(mi.Float, self._table, index)

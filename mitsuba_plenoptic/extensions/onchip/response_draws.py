@@ -1,7 +1,5 @@
 """Rays drawn for captures with photodiode responses, and the tables of the responses in Dr.Jit."""
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

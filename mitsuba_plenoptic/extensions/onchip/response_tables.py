@@ -32,7 +32,6 @@ _FAR = (25, 44)
 _RIDGE = 1e-3
 """Relative weight by which table nodes that the pupil hardly covers are held."""
 
-_ALL = slice(None)
 _REVERSED = slice(None, None, -1)
 
 
@@ -166,7 +165,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
         _, amplitude = self._orders
         # Largest relative difference that mirror images may have.
         alike = 1e-6
-        for flips in itertools.product((_ALL, _REVERSED), repeat=2):
+        for flips in itertools.product((slice(None), _REVERSED), repeat=2):
             mirrored = list(range(len(self.zones.y)))[flips[0]][row] * columns + list(range(columns))[flips[1]][column]
             signs = [-1 if flip == _REVERSED else 1 for flip in reversed(flips)]
             if (

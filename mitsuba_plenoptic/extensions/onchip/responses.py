@@ -7,8 +7,6 @@ many lenses, while rays are traced once. As in `signed_rays`, the mean radiance 
 subtracted, and its light, whose response is known, is added in closed form.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence

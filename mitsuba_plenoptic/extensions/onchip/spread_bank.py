@@ -12,14 +12,7 @@ import xarray as xr
 from ... import choices
 from ...camera import PlenopticCamera, Use, require_support
 from ...detector import SHARP, DetectorOperator
-from ...errors import (
-    refuse_if,
-    require_choice,
-    require_count,
-    require_number,
-    require_wavelength,
-    suggest_keywords,
-)
+from ...errors import refuse_if, require_choice, require_count, require_number, require_wavelength, suggest_keywords
 from ...fields import OpticalSystem
 from ...lenses import main_lens
 from ...points import footprint, point_spread_function
@@ -110,7 +103,7 @@ def psf_bank(
                 light[window] = PointRays(local, point[None], wavelength).image(system, np.ones(1))
             bank[index, point_index] = photodiodes(detector.forward(light)[window], along, across)
     steps = np.arange(count) - count // 2
-    coordinates: dict[str, Any] = {
+    coordinates = {
         "depth": ("depth", distances, {"units": "mm"}),
         "x": ("field", computed[:, 0], {"units": "mm", "long_name": "x on the detector"}),
         "y": ("field", computed[:, 1], {"units": "mm", "long_name": "y on the detector"}),

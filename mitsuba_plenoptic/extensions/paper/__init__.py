@@ -5,6 +5,4 @@ Pictures of real light are read by the extension `calibrate`, and deconvolved by
 
 from ...extension import Extension
 
-EXTENSION = Extension(
-    commands={"reproduce": "reproduce_command"},
-)
+EXTENSION = Extension(commands={"reproduce": "reproduce_command"})

@@ -1,7 +1,5 @@
 """The paper's conclusions, each with a verdict computed from this package's results."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -206,7 +204,10 @@ def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> pa
     records = [row | {"title": METHOD_TITLES[row["method"]]} for row in rows]
     if experiment.camera.resolution == PAPER_RESOLUTION:
         columns["Paper over ours"] = "{ratio}"
-        records = [row | {"ratio": _two_digits(row["paper_over_ours"])} for row in records]
+        for row in records:
+            # Two significant digits, without an exponent.
+            value = row["paper_over_ours"]
+            row["ratio"] = f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
     else:
         size = "{} x {}".format(*experiment.camera.resolution)
         caption += f" This detector has {size} pixels and the paper's 4096 x 4096: no ratio."
@@ -215,11 +216,6 @@ def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> pa
         "the ratio is due to the machine."
     )
     return pages.Section("Time on one core", [text, pages.Table(columns, records, caption)])
-
-
-def _two_digits(value: float) -> str:
-    """Return a number of two significant digits, without an exponent."""
-    return f"{float(f'{value:.2g}'):,.0f}" if value >= 10 else f"{value:.2g}"
 
 
 def verdict(holds: list[bool]) -> str:

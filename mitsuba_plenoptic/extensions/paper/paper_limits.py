@@ -4,8 +4,6 @@ The first two verdicts follow from the camera's closed forms (`mitsuba_plenoptic
 compare with captures: `arrays.pixels-and-range`, `deconvolution.contrast` and `deconvolution.fine-lines`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import time

@@ -1,7 +1,5 @@
 """The paper's figures 1 and 3, the setup and both reconstruction paths, drawn from the camera's parameters."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 The subsets of lenses are labels of the pixels of a square array, which may be turned.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -19,7 +17,7 @@ from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
-from ...runtime import Array, Integers, Progress
+from ...runtime import Array, Progress
 from ...views import capture_white, lenses_of_pixels
 
 
@@ -90,12 +88,7 @@ def surroundings(capture: Capture, window: tuple[slice, slice], distance: float)
     return replace(capture, image=np.where(needed, capture.image, np.float32(0)))
 
 
-def of_subsets(
-    capture: Capture,
-    distance: float,
-    label: Callable[[Array, Array], Array],
-    oversample: int = 1,
-) -> Any:
+def of_subsets(capture: Capture, distance: float, label: Callable[[Array, Array], Array], oversample: int = 1) -> Any:
     """Return the summed intensities of one coherent wave for each label of lenses, by their indices i and j."""
     labels = label(*lenses_of_pixels(capture.camera))
     # Each image is divided by white of one wave; white of the same subsets takes its place.
@@ -129,7 +122,9 @@ def colour_count(capture: Capture, distance: float) -> int:
     )
     passes = down**2 + across**2 <= camera.lit_radius**2
     column, row = (index[passes] - index.min() for index in (i, j))
-    u, v = (_counted(place[passes] / camera.row_pitch) for place in (u, v))
+    # Bins of the pixels' places, counted from 1.
+    u, v = (np.floor(place[passes] / camera.row_pitch).astype(np.int64) for place in (u, v))
+    u, v = (bins - bins.min(initial=0) + 1 for bins in (u, v))
     lenses = int(column.max()) + 1
     width = int(u.max()) + 2
     shape = (int(row.max()) + 1) * lenses, (int(v.max()) + 2) * width
@@ -153,9 +148,3 @@ def colour_count(capture: Capture, distance: float) -> int:
         neighbour_colours = set(colours[others[overlapping]].tolist())
         colours[lens] = next(colour for colour in itertools.count() if colour not in neighbour_colours)
     return int(colours.max()) + 1
-
-
-def _counted(places: Array) -> Integers:
-    """Return the bins of places, counted from 1."""
-    bins = np.floor(places).astype(np.int64)
-    return bins - bins.min(initial=0) + 1

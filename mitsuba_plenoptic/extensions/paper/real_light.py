@@ -3,8 +3,6 @@
 The verdicts are those on simulated letters: `claims.check_claims` of the same measurements.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -201,7 +199,7 @@ def _divided(name: str, capture: Capture, white: Capture, distance: float) -> Fl
     def refocus(one: Capture) -> Floats:
         if name == "quarters":
             return np.asarray(of_subsets(one, distance, quarters, _SHOWN), np.float32)
-        options: dict[str, Any] = {"interleave": 2} if name == "partial" else {}
+        options = {"interleave": 2} if name == "partial" else {}
         return reconstruct(one, distance, method=name, oversample=_SHOWN, **options).image
 
     light, even = refocus(capture), refocus(white)
@@ -226,15 +224,10 @@ def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
 
 
 def _quality(
-    name: str,
-    shape: Shape,
-    recording: Recording,
-    paper: Floats,
-    image: Floats,
-    wavelength: float,
+    name: str, shape: Shape, recording: Recording, paper: Floats, image: Floats, wavelength: float
 ) -> dict[str, Any]:
     """Return what is left of the lenses' grid, what is unexplained, and the width of an edge, in a shape's plane."""
-    row: dict[str, Any] = {"shape": name, "distance": shape.distance}
+    row = {"shape": name, "distance": shape.distance}
     camera = recording.camera
     if "even" in shape.areas:
         row["grid"] = grid(image[shape.window("even", FINE)])

@@ -6,8 +6,6 @@ to light; ``camera.json``, as `calibrate` writes it; and ``shapes.json``: by nam
 with one nearly upright `edge`.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

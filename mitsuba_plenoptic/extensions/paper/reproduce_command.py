@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic reproduce``: the study of the paper, computed again."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

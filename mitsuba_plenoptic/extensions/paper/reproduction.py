@@ -1,7 +1,5 @@
 """Reproduction of the paper's figures, timing and conclusions, with a report."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace

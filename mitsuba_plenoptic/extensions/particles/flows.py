@@ -4,8 +4,6 @@ All but imported ones are free of divergence, so that particles that are spread 
 dataclass with `velocity`, and an entry in `FLOWS`; a flow without a closed form of its paths has them integrated.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -26,8 +24,6 @@ _AXES = ("x", "y", "z")
 _AXIS = partial(require_choice, choices=_AXES)
 _SPEED = partial(require_number, minimum=-1e9, maximum=1e9)
 """Rules of an axis, and of a velocity or what it is proportional to."""
-
-_SPEED_UNITS = "mm/s", "mm s-1", "mm s^-1", "mm.s-1"
 
 
 class Flow:
@@ -239,7 +235,7 @@ class ImportedFlow(Flow):
 
     def __post_init__(self) -> None:
         name = "field"
-        data: Any = self.field
+        data = self.field
         if isinstance(data, (str, Path)):
             name = str(data)
             with refusing(f"{name}: it cannot be read as a velocity field:"):
@@ -248,7 +244,8 @@ class ImportedFlow(Flow):
             not isinstance(data, xr.Dataset) or not {*"uvwxyz"} <= {*data.variables},
             f"{name}: it must be a data set with u, v and w on x, y and z",
         )
-        require_units(name, data, dict.fromkeys("uvw", _SPEED_UNITS) | dict.fromkeys(_AXES, MILLIMETRES))
+        speed = ("mm/s", "mm s-1", "mm s^-1", "mm.s-1")
+        require_units(name, data, dict.fromkeys("uvw", speed) | dict.fromkeys(_AXES, MILLIMETRES))
         with refusing(f"{name}: u, v and w must be on axes x, y and z that rise, and on no other:", ValueError):
             values = np.stack([as_array(part, data[part].transpose(*_AXES), _AXES) for part in "uvw"], -1)
             flow = RegularGridInterpolator([as_array(axis, data[axis]) for axis in _AXES], values)
@@ -257,7 +254,7 @@ class ImportedFlow(Flow):
 
     def velocity(self, points: Doubles) -> Doubles:
         """Return the velocities at positions, which must be within the grid."""
-        flow: RegularGridInterpolator = vars(self)["_interpolated"]
+        flow = vars(self)["_interpolated"]
         bounds = np.array([(axis[0], axis[-1]) for axis in flow.grid])
         outside = ((points < bounds[:, 0]) | (points > bounds[:, 1])).any(1)
         if outside.any():

@@ -1,7 +1,5 @@
 """Generator of data sets: pairs of captures of particles in a random flow."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial

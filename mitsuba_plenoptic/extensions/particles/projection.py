@@ -9,7 +9,6 @@ weights W, and these share spreads: the operator is :math:`A W`, and its adjoint
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 import scipy
@@ -90,7 +89,7 @@ class VoxelProjector(LinearMap):
         # A little aside, so that points at the borders of lenses belong to one of them alike.
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)
-        kind: Any = CaptureOperator if budget is None else partial(StoredOperator, budget=budget)
+        kind = CaptureOperator if budget is None else partial(StoredOperator, budget=budget)
         self.operator: CaptureOperator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
         super().__init__((len(points),), camera.shape)
         self.camera = camera

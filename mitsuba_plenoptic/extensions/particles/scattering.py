@@ -8,8 +8,6 @@ behind the window. That of an objective is infinitely far, and by the sine condi
 in the direction with :math:`n \sin\theta = |P| / f`, alike for all particles.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -28,12 +26,8 @@ from .seeding import Seeding, Window
 _LARGEST = 2000.0
 """Size parameter at most: 250 micrometres in water, where rays would do, and the series has 2000 terms."""
 
-_PER_WAVE = 8.0
 _FEWEST = 4
-"""Cells of the pupil across a period of the amplitude of the widest sphere's rim, and across the pupil at least."""
-
-_NEGLIGIBLE = 0.1
-"""Mean part of the light of a polarisation, over the allowed error, below which it is not followed on its own."""
+"""Cells across the pupil at least."""
 
 _TOGETHER = 2**18
 """Directions whose scattering is computed at a time, which limits memory."""
@@ -146,7 +140,8 @@ class ScatteredLight:
         angle = objective.half_angle if objective else self.camera.aperture_radius / nearest
         # As many as the series has terms, over the angle that the pupil covers.
         waves = (size + 4 * size ** (1 / 3)) * angle * self.window.ratio(self.camera) / np.pi
-        return max(_FEWEST, int(np.ceil(_PER_WAVE * waves)))
+        # 8.0: Cells across a period of the amplitude of the widest sphere's rim.
+        return max(_FEWEST, int(np.ceil(8.0 * waves)))
 
     def _over_pupil(self, x: Doubles, y: Doubles) -> NDArray[np.complex128]:
         """Return the four amplitudes towards points (q,) of the pupil, (4, n, q).
@@ -208,7 +203,8 @@ class ScatteredLight:
         count = len(self.positions)
         require_memory(300.0 * count * (cells + 2 * BORDER) ** 2, f"{count} particles over {cells} x {cells} cells")
         total = self.powers.sum(0)
-        strong = self.powers.sum(1) > max(_NEGLIGIBLE * accuracy, 1e-7) * total.sum()
+        # 0.1: Mean part of a polarisation's light, over the allowed error, below which it is not followed on its own.
+        strong = self.powers.sum(1) > max(0.1 * accuracy, 1e-7) * total.sum()
         # Splines through the centres of cells, and two more places at each border, beyond which there may be no light.
         at = np.concatenate([[0, 0.25], np.arange(cells) + 0.5, [cells - 0.25, cells]])
         knots = np.arange(-3.5, cells + 4)

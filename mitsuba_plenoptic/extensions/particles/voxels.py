@@ -19,9 +19,6 @@ from .seeding import ParticleVolume, as_points
 _TRUNCATED = 4.0
 """Standard deviations beyond which a drawn particle is left out."""
 
-_NARROWEST = 0.5
-"""Standard deviation of a drawn particle at least, in voxels: narrower ones do not show where in a voxel they are."""
-
 
 @suggest_keywords
 @dataclass(frozen=True)
@@ -101,8 +98,9 @@ def drawn_particles(grid: VoxelGrid, positions: Doubles, weights: Doubles, width
     deviations = require_numbers("width", width, count=3, minimum=1e-9)
     positions = as_points("positions", positions)
     weights = as_array("weights", weights, POINTS, shape=(len(positions),))
+    # Narrower ones do not show where in a voxel they are.
     refuse_if(
-        (deviations < (1 - 1e-9) * _NARROWEST * grid.voxel).any(),
+        (deviations < (1 - 1e-9) * 0.5 * grid.voxel).any(),
         f"width = {tuple(width)}: it must be half a voxel at least, of {tuple(grid.voxel.tolist())}",
     )
     # Parts of each particle's light in the voxels of an axis, (particles, voxels).
@@ -170,8 +168,6 @@ def elongation(camera: PlenopticCamera, distance: float) -> float:
 
     Parameters
     ----------
-    camera : PlenopticCamera
-        The camera.
     distance : float
         Distance g of the point from the main lens, in mm, where the camera sees it.
     """

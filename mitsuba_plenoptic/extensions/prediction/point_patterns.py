@@ -6,8 +6,6 @@ deconvolution for the light field microscope", Optics Express 21, 25418), to fir
 elements before one lens stand for all, and a plane has as many bins as the part has lenses, at every distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,21 +19,11 @@ from ...points import CaptureOperator, ray_spread
 from ...runtime import Array
 from .array_part import ArrayPart
 
-_FIRST = 0.75
-_GROWTH = 1.12
 _WIDEST = 14.0
-"""Blur of the first plane beyond the focus in lenses, factor by which steps grow, and blur of the last plane."""
-
-_FINE = 4
-_COARSE = 3
-_FINE_BLUR = 6.5
-"""Elements along a bin's side, and the blur in lenses from which on they are coarse."""
+"""Blur of the last plane beyond the focus in lenses."""
 
 _PARTS = 2
 """Points along an element's side."""
-
-_RAYS = 8
-"""Rays along a pixel."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +46,11 @@ class Plane:
     pictures: Array
 
 
-def distances_of(camera: PlenopticCamera, first: float = _FIRST, growth: float = _GROWTH) -> list[float]:
-    """Return the distances of planes in millimetres, in the steps in which a light field resolves them."""
+def distances_of(camera: PlenopticCamera, first: float = 0.75, growth: float = 1.12) -> list[float]:
+    """Return the distances of planes in millimetres, in the steps in which a light field resolves them.
+
+    The first one beyond the focus has the blur `first` in lenses; steps grow by the factor `growth`.
+    """
     count = int(np.log(1 + (growth - 1) * _WIDEST / first) / np.log(growth))
     blurs = first * (growth ** np.arange(1, count + 1) - 1) / (growth - 1) * camera.row_pitch
     beyond = np.concatenate([-blurs[::-1], [0.0], blurs])
@@ -74,7 +65,8 @@ def plane_of(part: ArrayPart, distance: float) -> Plane:
     """Return a plane's elements with their pictures."""
     model = part.model
     blur = model.camera.blur_diameter(distance) / model.camera.row_pitch
-    across = _FINE if blur < _FINE_BLUR or part.pixels.shift.any() else _COARSE
+    # Elements along a bin's side, which are coarse from a blur of 6.5 lenses on.
+    across = 4 if blur < 6.5 or part.pixels.shift.any() else 3
     row_ratio = float(model.pitch[1] / model.pitch[0])
     # An element may be half a pitch from the middle of its lens.
     # Light of a point beyond its blur's border, in lenses, that counts.
@@ -133,7 +125,8 @@ def _by_waves(camera: PlenopticCamera, points: Array, wavelength: float) -> Arra
 
 def _by_rays(camera: PlenopticCamera, points: Array) -> Array:
     """Return the pictures of elements, each of several points, by an even grid of rays through the pupil."""
-    across = _RAYS * round(camera.micro_image_pitch / camera.pixel_size)
+    # 8 rays along a pixel.
+    across = 8 * round(camera.micro_image_pitch / camera.pixel_size)
     generator = np.random.default_rng(0)
 
     def picture(point: Array) -> Array:

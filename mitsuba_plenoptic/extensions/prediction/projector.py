@@ -6,8 +6,6 @@ interpolation (Keys 1981, IEEE Trans. Acoust. Speech Signal Process. 29, 1153), 
 gives the camera's white picture: so the pupil over the field, unequal lenses and the light's apodisation are right.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -17,9 +15,6 @@ from ...linear import LinearMap
 from ...runtime import Array, require_memory
 from .array_part import ArrayPart
 from .point_patterns import Plane
-
-_DIM = 0.02
-"""Light that is added to both white pictures before they are divided, over that of bright pixels."""
 
 
 class SceneProjection(LinearMap):
@@ -49,7 +44,8 @@ class SceneProjection(LinearMap):
         # Interpolation at sharp borders goes below 0.
         even = np.maximum(self.direct(np.ones(self.source_shape, np.float32)), 0)
         white = np.maximum(part.white, 0) * (even.mean() / part.white.mean())
-        dim = _DIM * np.quantile(even, 0.99)
+        # Light that is added to both white pictures before they are divided, over that of bright pixels.
+        dim = 0.02 * np.quantile(even, 0.99)
         self._weight = ((white + dim) / (even + dim)).astype(np.float32)
 
     def _made_kernels(self) -> dict[tuple[int, float], Array]:

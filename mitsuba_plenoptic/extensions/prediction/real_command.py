@@ -1,7 +1,5 @@
 """The part of ``mitsuba-plenoptic compare`` that compares a real light field with simulated ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path

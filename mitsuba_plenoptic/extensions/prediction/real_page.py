@@ -1,7 +1,5 @@
 """Page on a real light field beside simulated ones: pixels, differences, profiles, planes of the scene, figures."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +9,6 @@ from scipy.signal import oaconvolve
 from ...report import pages, plots
 from ...runtime import Array
 from .study import LIGHTS, Answer, Study
-
-_SHOWN = 10
-"""Lenses along a side of the pictures that are shown."""
-
-
-_STRONGEST = 0.2
-"""Difference, over bright pixels, that has the strongest colour."""
 
 _BRIGHT = 0.998
 """Quantile of what a picture shows as white."""
@@ -79,14 +70,16 @@ def pictures(study: Study) -> plots.Plot:
     predicted = {
         light: _picture(study, study.predicted(light, 0, study.strength(light, "pixels"), None)) for light in LIGHTS
     }
-    rows, columns = _most_structured(recorded, int(_SHOWN * part.model.pitch.max()))
+    # 10 lenses along a side of the pictures that are shown.
+    rows, columns = _most_structured(recorded, int(10 * part.model.pitch.max()))
     peak = float(np.nanquantile(recorded[rows, columns], _BRIGHT))
     plot = plots.Plot(11.7)
     (first, *above), (axes, *below) = plot.panels(2, 3)
     plots.show(first, recorded[rows, columns], "Recorded", peak=peak)
     for light, simulated, difference in zip(LIGHTS, above, below, strict=True):
         plots.show(simulated, predicted[light][rows, columns], f"Simulated by {light}", peak=peak)
-        shades = plots.show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], _STRONGEST)
+        # 0.2: Difference, over bright pixels, that has the strongest colour.
+        shades = plots.show_difference(difference, ((recorded - predicted[light]) / peak)[rows, columns], 0.2)
         plots.annotate(difference, title=f"Recorded less {light}")
     plot.colour_bar(shades, below, "of bright pixels")
     axes.set_frame_on(True)

@@ -10,8 +10,6 @@ shifted values (Snyder, Hammoud and White 1993, J. Opt. Soc. Am. A 10, 1014). St
 least squares on the way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,16 +18,6 @@ from scipy.ndimage import gaussian_filter
 from ...linear import Steps, solve
 from ...runtime import Array, Progress
 from .projector import SceneProjection
-
-_NEAR = 0.7
-"""Standard deviation, in pitches, of the mean nearby."""
-
-_UNSEEN = 1e-3
-"""Light of an element over that of the brightest one of its plane, below which it is dark."""
-
-_STRAY_STEPS = frozenset((2, 5, 9, 14, 19))
-_MOST_STRAY = 0.5
-"""Steps before which stray light is found, and its largest value."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +39,8 @@ class _Near:
 
     def _blurred(self, scene: Array) -> Array:
         parts = zip(self._projector.split(scene), self._projector.planes, strict=True)
-        return self._projector.join([gaussian_filter(image, _NEAR * plane.across) for image, plane in parts])
+        # Standard deviation, in pitches, of the mean nearby.
+        return self._projector.join([gaussian_filter(image, 0.7 * plane.across) for image, plane in parts])
 
     def of(self, scene: Array) -> Array:
         """Return the mean nearby of each element."""
@@ -62,12 +51,7 @@ class _PriorSteps(Steps):
     """Steps of Richardson and Lucy with the prior, in some of which stray light is found."""
 
     def __init__(
-        self,
-        projector: SceneProjection,
-        electrons: Array,
-        used: Array,
-        dark_variance: float,
-        strength: float,
+        self, projector: SceneProjection, electrons: Array, used: Array, dark_variance: float, strength: float
     ) -> None:
         self.operator = projector
         self.image = electrons
@@ -75,7 +59,8 @@ class _PriorSteps(Steps):
         self._mask, self._shift, self._strength = used.astype(np.float32), np.float32(dark_variance), strength
         self._shifted = np.maximum(electrons * self._mask + self._shift, 0).astype(np.float32)
         self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
-        self._seen = self._all_light > _UNSEEN * self._all_light.max(axis=(0, 1), keepdims=True)
+        # Light of an element over that of the brightest one of its plane, below which it is dark.
+        self._seen = self._all_light > 1e-3 * self._all_light.max(axis=(0, 1), keepdims=True)
         self._near = _Near(projector, self._seen)
         self._done = 0
         self.first = projector.forward(self.start())
@@ -92,8 +77,14 @@ class _PriorSteps(Steps):
 
     def step(self, point: Array, model: Array) -> Array:
         """Return the scene after a step from a point whose direct light and glow are `model`."""
-        if self._done in _STRAY_STEPS:
-            self.stray = _stray(self.image, self._mask, *model)
+        # Steps before which stray light is found.
+        if self._done in (2, 5, 9, 14, 19):
+            # The part of the mean light that explains best what the direct light leaves, weighted by noise.
+            direct, glow = model
+            weight = self._mask / (np.maximum(direct, 0) + 1)
+            explained = (weight * (self.image - direct) * glow).sum()
+            fraction = float(explained / max(float((weight * glow * glow).sum()), 1e-20))
+            self.stray = min(max(fraction, 0.0), 0.5)
             self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
         self._done += 1
         back = self._spread(self._mask * self._shifted / (np.maximum(self.predicted(model), 0) + self._shift))
@@ -119,10 +110,3 @@ def fit_scene(
     steps = _PriorSteps(projector, electrons, used, dark_variance, strength)
     solution = solve(steps, iterations=iterations, accelerate=True, progress=progress)
     return SceneFit(solution.values, steps.stray, steps.predicted(projector.forward(solution.values)))
-
-
-def _stray(electrons: Array, mask: Array, direct: Array, glow: Array) -> float:
-    """Return the part of the mean light that explains best what the direct light leaves, weighted by noise."""
-    weight = mask / (np.maximum(direct, 0) + 1)
-    fraction = float((weight * (electrons - direct) * glow).sum() / max(float((weight * glow * glow).sum()), 1e-20))
-    return min(max(fraction, 0.0), _MOST_STRAY)

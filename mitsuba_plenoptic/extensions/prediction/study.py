@@ -1,7 +1,5 @@
 """Do waves predict the pixels of a real light field better than rays? The runs that answer it, and the answer."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
@@ -33,24 +31,10 @@ SEEDS = 3
 ITERATIONS = 30
 """Steps of each fit."""
 
-
-_LIT = 5.0
-_BRIGHT = 0.999
-"""Light over noise in the dark that a quantile of a light field must reach."""
-
 _SEARCHED = (0.25, 1.25)
 _SEARCH_STEPS = 10
 _MOST_PLANES = 3
-_EXPLAINED = 0.03
-"""Planes that a search tries, as `distances_of` takes them; steps with each; planes at most; and the part of the misfit
-that a plane must explain beyond those before it."""
-
-_OF_CAMERA = 1e-5
-_OF_POINTS = 0.04
-_OF_PIXEL = 1e-7
-_OF_PRODUCT = 8e-11
-"""Seconds of one machine, for the ratio of stages' work: per pixel of a white picture; per point of a plane; per pixel
-and step of a run, and per product of a pixel with an element in it."""
+"""Planes that a search tries, as `distances_of` takes them; steps with each; and planes at most."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +52,9 @@ class Pictures:
     def __post_init__(self) -> None:
         good = WhiteFrame.of(self.white, self.dark).good
         noise = self.noise.dark_variance**0.5
-        bright = float(np.quantile(self.electrons, _BRIGHT))
+        bright = float(np.quantile(self.electrons, 0.999))
         refuse_if(
-            bright < _LIT * noise,
+            bright < 5.0 * noise,
             f"light field: bright pixels hold {bright:.3g} electrons, at a noise of {noise:.3g}: it has no light",
         )
         dead, hot = stuck(self.electrons.reshape(good.shape), noise)
@@ -201,7 +185,9 @@ class Study:
         self.simulated, self.strength = cache(self._simulated), cache(self._strength)
         self.part = cache(lambda light: ArrayPart(self.model(light), self._pixels))
         self.withheld = cache(lambda seed: Withheld.drawn(self._pixels, self.pictures.good[self._pixels.pixel], seed))
-        self.projector = lru_cache(1)(self._projector)
+        self.projector = lru_cache(1)(
+            lambda light: SceneProjection(self.part(light), [plane_of(self.part(light), g) for g in self.distances])
+        )
 
     # -- cameras and planes ----------------------------------------------------------------------
 
@@ -261,18 +247,14 @@ class Study:
             while len(chosen) < _MOST_PLANES:
                 totals = np.minimum(left, misfits).sum(1)
                 best = int(totals.argmin())
-                if totals[best] > (1 - _EXPLAINED) * left.sum():
+                # 0.03: Part of the misfit that a plane must explain beyond those before it.
+                if totals[best] > (1 - 0.03) * left.sum():
                     break
                 left = np.minimum(left, misfits[best])
                 chosen.append(tried[best])
             return {"distances": chosen}
 
         return list(self.stages.facts("search", [self._given, _SEARCHED], found)["distances"])
-
-    def _projector(self, light: str) -> SceneProjection:
-        """Return the projection of the scene on the part."""
-        part = self.part(light)
-        return SceneProjection(part, [plane_of(part, distance) for distance in self.distances])
 
     # -- runs ------------------------------------------------------------------------------------
 
@@ -359,13 +341,15 @@ class Study:
         def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
             blurs = [self.camera.blur_diameter(plane) / self.camera.row_pitch for plane in planes]
             products = sum(16 * (blur + 2) ** 2 for blur in blurs)
-            return 64 * _OF_POINTS * len(blurs), steps * self._size * (_OF_PIXEL + _OF_PRODUCT * products)
+            # Seconds of one machine, for the ratio of stages' work: per point of a plane; per pixel and step of a run,
+            # and per product of a pixel with an element in it; below, per pixel of a white picture.
+            return 64 * 0.04 * len(blurs), steps * self._size * (1e-7 + 8e-11 * products)
 
         tried = [] if self._planes else distances_of(self.camera, *_SEARCHED)
         search = [sum(map(sum, (run([plane], _SEARCH_STEPS) for plane in tried)))] if tried else []
         points, runs = run(self._planes or [self.camera.focus_distance] * _MOST_PLANES)
         of_light = [points + runs, *[runs] * (len(STRENGTHS) * SEEDS)]
-        camera = _OF_CAMERA * self.pictures.white.size
+        camera = 1e-5 * self.pictures.white.size
         return [camera, camera, *search, *of_light, *of_light, runs, runs, points + runs, runs]
 
     def fit_cameras(self) -> None:

@@ -21,9 +21,8 @@ FEWEST = 110
 _FEWEST_JUDGED = 36
 """Lenses of a part, and of them those that can be judged, that are needed so that several are withheld."""
 
-_DRAWS = 1000
 _LEVEL = 0.95
-"""Draws of lenses that give an interval, and its level."""
+"""Level of the interval that draws of lenses give."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +46,7 @@ class Withheld:
             f"part: {count} of its lenses are not at its border: at least {_FEWEST_JUDGED} are needed to withhold 10 %",
         )
         inner = within.ravel()[part.lens_of]
-        draw = {
-            "pixels": generator.random(len(part.pixel)),
-            "lenses": generator.random(columns * rows)[part.lens_of],
-        }
+        draw = {"pixels": generator.random(len(part.pixel)), "lenses": generator.random(columns * rows)[part.lens_of]}
         # Parts of the pixels, and of the lenses, that are predicted.
         test = {name: draw[name] < {"pixels": 0.2, "lenses": 0.1}[name] for name in TESTS}
         # Part of the pixels, and of the lenses, that choose the strength of the prior.
@@ -106,7 +102,7 @@ class Ratio:
         """Return the ratio of squared differences by lens (2, lenses), as `by_lens` sums them over all seeds."""
         judged = waves[1] > 0
         count = judged.sum()
-        counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), _DRAWS)
+        counts = np.random.default_rng(0).multinomial(count, np.full(count, 1 / count), 1000)
         ratios = np.sqrt((counts @ rays[0, judged]) / (counts @ waves[0, judged]))
         low, high = np.quantile(ratios, [(1 - _LEVEL) / 2, (1 + _LEVEL) / 2]).tolist()
         by_waves, by_rays = (float(np.sqrt(some[0].sum() / some[1].sum())) for some in (waves, rays))

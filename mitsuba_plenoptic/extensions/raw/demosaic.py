@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -115,7 +114,7 @@ def demosaic(
         np.float32,
     )
     metadata = dict(capture.metadata)
-    wavelength: Any = capture.wavelength
+    wavelength = capture.wavelength
     if stated is not None:
         recording = {**recording_of(capture), "mosaic": None, "demosaiced": mosaic}
         stated_wavelength = recording.pop("wavelength", None)

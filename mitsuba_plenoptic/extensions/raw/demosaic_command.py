@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic demosaic``: three colours of every pixel of a raw picture."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -51,11 +49,10 @@ def demosaic(
     $ mitsuba-plenoptic demosaic photo.lfr -o colours.exr --white white_pictures
     """
     from ...io import mosaic_of, read_capture, write_capture
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_output
     from .lytro_file import nearest_white
 
-    require_writable(output)
-    require_apart(output, capture, white)
+    require_output(output, capture, white)
     # Brings libraries that take a while to load.
     from .demosaic import balanced
     from .demosaic import demosaic as interpolate

@@ -5,8 +5,6 @@ have a further section there, with the camera, the radiance of white, and the nu
 colour.
 """
 
-from __future__ import annotations
-
 import configparser
 import io
 import json

@@ -9,8 +9,6 @@ of LFToolbox calls the first four axes t, s, v, u, with the letters of pupil and
 on integers; here pixel k covers [k, k + 1), so that offsets differ by a half.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -13,8 +13,6 @@ bits occupy 3 bytes, big-endian. Of four pixels of 10 bits, 4 bytes hold the upp
 with the first pixel's lowest.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -31,7 +29,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
-from ...runtime import Doubles, read_text, require_memory, require_size
+from ...runtime import read_text, require_memory, require_size
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -227,7 +225,11 @@ def _capture_of(picture: _Picture) -> Capture:
     require_memory(22.0 * columns * rows, f"{columns} x {rows} pixels")
     numbers = _numbers(picture, columns, rows)
     tile = _tile(picture)
-    black, white = (_levels(picture, name, tile) for name in ("black", "white"))
+    # Digital numbers of the filters.
+    black, white = (
+        np.array([[picture.number(f"{levels}.{colour}", minimum=0, maximum=65535) for colour in row] for row in tile])
+        for levels in (f"{picture.details}.pixelFormat.{name}" for name in ("black", "white"))
+    )
     refuse_if((white <= black).any(), f"{picture.details}.pixelFormat: white must be above black")
     saturated = 0
     image = np.empty((rows, columns), np.float32)
@@ -283,12 +285,6 @@ def _tile(picture: _Picture) -> NDArray[np.str_]:
     tile = np.array(_FILTERS).reshape(2, 2)
     j, i = divmod(_FILTERS.index(require_choice(f"{name}.upperLeftPixel", first, _FILTERS)), 2)
     return np.roll(tile, (-j, -i), (0, 1))
-
-
-def _levels(picture: _Picture, name: str, tile: NDArray[np.str_]) -> Doubles:
-    """Return the black or white levels of the filters of a tile, as digital numbers."""
-    entry = f"{picture.details}.pixelFormat.{name}"
-    return np.array([[picture.number(f"{entry}.{colour}", minimum=0, maximum=65535) for colour in row] for row in tile])
 
 
 def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:

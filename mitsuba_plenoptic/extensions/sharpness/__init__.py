@@ -2,6 +2,4 @@
 
 from ...extension import Extension
 
-EXTENSION = Extension(
-    commands={"mtf": "mtf_command"},
-)
+EXTENSION = Extension(commands={"mtf": "mtf_command"})

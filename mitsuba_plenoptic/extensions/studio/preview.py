@@ -1,7 +1,5 @@
 """Preview of a scene before capture: the view of its lens, the range in focus, and whether the camera suits it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic preview``: a quick view of a scene as the camera will see it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Views of a scene by a camera without its microlenses, through a thin lens or an objective, for previews."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Parameter sweeps: captures and reconstructions over a grid of cameras, wavelengths and distances in one dataset."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import json
@@ -17,15 +15,7 @@ import xarray as xr
 
 from ...camera import MATCHED, PARAMETERS, PlenopticCamera, varied_camera
 from ...capture_spec import CaptureSpec
-from ...errors import (
-    InputError,
-    argument,
-    did_you_mean,
-    refuse_if,
-    require_module,
-    require_number,
-    require_wavelength,
-)
+from ...errors import InputError, argument, did_you_mean, refuse_if, require_module, require_number, require_wavelength
 from ...io import Cache, Capture, Checkpoint, StageOptions
 from ...prescription import lens_data
 from ...refocus import registered
@@ -70,7 +60,7 @@ def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]
 
 def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
     """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
-    checked: dict[str, tuple[float, ...]] = {}
+    checked = {}
     for name, values in grid.items():
         refuse_if(not isinstance(name, str) or not name.isidentifier(), f"grid: {name!r} is not a name")
         refuse_if(not len(values), f"grid: {name} has no values")
@@ -159,7 +149,7 @@ class Points:
         method = registered(self._method)
         # Approximate microseconds of a pixel of an image, and of a sample of one.
         of_image = 15.0 if method.long else 1.0 if method.waves else 0.3
-        sizes: dict[str, tuple[int, ...]] = {}
+        sizes = {}
         for point in self:
             spec = self.spec(point)
             if (key := repr((spec.parameters, spec.camera))) not in sizes:

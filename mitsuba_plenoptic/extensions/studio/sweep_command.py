@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic sweep``: a scene over a grid of cameras and wavelengths."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Display of captures, reconstructions and cameras in notebooks: a small picture, or the design sheet."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Sequence
 from html import escape

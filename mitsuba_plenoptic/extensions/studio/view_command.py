@@ -1,7 +1,5 @@
 """``mitsuba-plenoptic view``: an interactive page of a capture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -41,14 +39,14 @@ def view(
     $ mitsuba-plenoptic view ray.exr wave.exr -o compare.html
     $ mitsuba-plenoptic view raw.exr out_210.exr out_240.exr out_280.exr depth.exr
     """
-    from ...runtime import require_apart, require_writable
+    from ...runtime import require_output
     from .viewer import Recording
     from .viewer import view as make_page
     from .viewer_sources import read_source
 
     refuse_if(not sources[0].name, f"{sources[0]}: it is not a regular file")
-    target = require_writable(output or sources[0].with_suffix(".html"))
-    require_apart(target, *sources, white)
+    target = output or sources[0].with_suffix(".html")
+    require_output(target, *sources, white)
     camera_of_option = inputs.named_camera(camera)
     with progress_bar("Making the page"):
         reconstructions = [

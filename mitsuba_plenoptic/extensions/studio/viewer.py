@@ -184,10 +184,15 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         )
         for index, (recording, lf) in enumerate(zip(recordings, thinned, strict=True), 1)
     ]
+    full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
+    bits = 16 if full > _WIDE * white else 8
     data = {
         "white": white,
         "recordings": [content for content, _ in recorded],
-        "planes": _planes(planes, white),
+        "planes": [
+            {"distance": _plain(distance), "method": method, "picture": images.encode(image, bits, full)}
+            for distance, image, method in planes
+        ],
         "depth": _depth(depths[0]) if depths else None,
     }
     facts = [fact for _, facts in recorded for fact in facts]
@@ -208,9 +213,9 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
 
 def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, Array, str]], list[xr.Dataset]]:
     """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
-    recordings: list[Recording] = []
-    planes: list[tuple[float, Array, str]] = []
-    depths: list[xr.Dataset] = []
+    recordings = []
+    planes = []
+    depths = []
     for source in sources:
         if isinstance(source, Capture):
             recordings.append(Recording.of(source, source.model, decoded(source)))
@@ -262,7 +267,7 @@ def _recording(
     disparities = np.linspace(*ends, 161) if ends[1] > ends[0] else np.zeros(1)
     has_distances = bool(lf.attrs.get("camera")) and not reason
     distances = distance_of(lf, disparities) if has_distances else np.full(len(disparities), np.nan)
-    content: dict[str, Any] = {
+    content = {
         "name": name,
         "views": images.encode(view_mosaic(lf), bits, full),
         "weight": images.encode(view_mosaic(lf["weight"]), 8, 1.0),
@@ -321,16 +326,6 @@ def _raw(image: Array, lf: xr.DataArray, white: float, count: int) -> tuple[dict
         "bins": bins and {"offset": bins.offset, "spacing": bins.spacing},
     }
     return content, f"{image.shape[1]} x {image.shape[0]} pixels{averaged}; 8 bits, up to {full:.3g}"
-
-
-def _planes(planes: list[tuple[float, Array, str]], white: float) -> list[dict[str, Any]]:
-    """Return images with their distances in the page's format."""
-    full = max([white, *(float(np.nanmax(image, initial=0)) for _, image, _ in planes)])
-    bits = 16 if full > _WIDE * white else 8
-    return [
-        {"distance": _plain(distance), "method": method, "picture": images.encode(image, bits, full)}
-        for distance, image, method in planes
-    ]
 
 
 def _depth(estimate: xr.Dataset) -> dict[str, Any]:

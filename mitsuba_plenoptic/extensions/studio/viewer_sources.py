@@ -1,7 +1,5 @@
 """Source files of the viewer, recognised by suffix and, for OpenEXR, by the kind stated in the header."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,12 +17,7 @@ from .viewer import Recording, decoded
 
 
 def read_source(
-    path: str | Path,
-    *,
-    white: str | Path | None,
-    views: int | None,
-    linear: bool,
-    camera: PlenopticCamera | None,
+    path: str | Path, *, white: str | Path | None, views: int | None, linear: bool, camera: PlenopticCamera | None
 ) -> Recording | xr.DataArray | xr.Dataset:
     """Return the recording, focal stack or depth map that a source file of the viewer contains.
 

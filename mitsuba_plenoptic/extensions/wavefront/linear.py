@@ -49,13 +49,7 @@ class InteractionMatrix:
     @classmethod
     @suggest_keywords
     def of(
-        cls,
-        camera: PlenopticCamera,
-        zone: Zone,
-        *,
-        modes: int = 36,
-        wavelength: float = 633.0,
-        accuracy: float = 0.01,
+        cls, camera: PlenopticCamera, zone: Zone, *, modes: int = 36, wavelength: float = 633.0, accuracy: float = 0.01
     ) -> InteractionMatrix:
         """Return the interaction matrix of a camera for known points.
 

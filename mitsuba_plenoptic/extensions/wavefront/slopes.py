@@ -10,8 +10,6 @@ from subdivision of the focal plane with a lenslet array", J. Opt. Soc. Am. A 22
 image (Shack-Hartmann) a lens stands for a square of the pupil, and the position of its spot is the mean slope there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

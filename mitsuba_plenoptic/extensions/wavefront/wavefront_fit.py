@@ -36,10 +36,6 @@ COUNTS = PixelNoise(1.0)
 _MOST_FITS = 8
 """How often the terms are fitted at most."""
 
-_RINGS = 8
-_SPOKES = 32
-"""Points of the pupil whose rays find whether the detector records light of a zone."""
-
 
 @dataclass(frozen=True)
 class Zone:
@@ -189,8 +185,9 @@ def _light(view: View, expected: Doubles, before: Doubles) -> float:
 def _distance_beside(camera: PlenopticCamera, zone: Zone) -> float:
     """Return the distance in mm between the recorded lenses and a zone's nearest ray, with the camera's wavefront."""
     lens = main_lens(camera)
-    radius = np.linspace(0, lens.pupil.radius, _RINGS)
-    angle = 2 * np.pi * np.arange(_SPOKES) / _SPOKES
+    # 8 rings of 32 points.
+    radius = np.linspace(0, lens.pupil.radius, 8)
+    angle = 2 * np.pi * np.arange(32) / 32
     pupil = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
     arrives = np.stack([lens.land(pupil, tuple(point)) for point in zone.points[zone.weights > 0]], -1)
     centres = centres_of_pixels(camera).reshape(-1, 2).T[..., None, None]

@@ -16,14 +16,7 @@ from typing import Any
 import numpy as np
 from cases import relative
 
-from mitsuba_plenoptic import (
-    Capture,
-    PlenopticCamera,
-    decode,
-    load_scene,
-    point_spread_function,
-    reconstruct,
-)
+from mitsuba_plenoptic import Capture, PlenopticCamera, decode, load_scene, point_spread_function, reconstruct
 from mitsuba_plenoptic import render_capture as render
 from mitsuba_plenoptic.views import depth_map
 from mitsuba_plenoptic.waves.accuracy import DEFAULT_ACCURACY

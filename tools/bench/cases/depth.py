@@ -54,12 +54,7 @@ Result = dict[str, np.ndarray]
     quick={"scenes": ("two planes",), "cameras": ("square",)},
 )  # fmt: skip
 def confidence(
-    output: Path,
-    *,
-    scenes: tuple[str, ...] = (),
-    cameras: tuple[str, ...] = (),
-    captures: str = "",
-    before: str = "",
+    output: Path, *, scenes: tuple[str, ...] = (), cameras: tuple[str, ...] = (), captures: str = "", before: str = ""
 ) -> Iterator[Row]:
     """Record each scene without noise, with 2000 and with 500 photons in a pixel of value 1.
 

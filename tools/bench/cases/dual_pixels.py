@@ -11,13 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mitsuba_plenoptic import (
-    LensSystem,
-    PlenopticCamera,
-    bank_disparity,
-    half_disparity,
-    psf_bank,
-)
+from mitsuba_plenoptic import LensSystem, PlenopticCamera, bank_disparity, half_disparity, psf_bank
 
 from .. import Row, at_most, case, pick
 

@@ -7,11 +7,7 @@ from collections.abc import Iterator
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_plenoptic import (
-    PlenopticCamera,
-    load_scene,
-    with_camera,
-)
+from mitsuba_plenoptic import PlenopticCamera, load_scene, with_camera
 
 from .. import Row, at_least, case
 from ..timing import paired

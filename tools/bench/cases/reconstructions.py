@@ -80,10 +80,7 @@ AGREEMENT = {
     "correlation": "{correlation:.4f}", "at least": "{least_correlation}", "scale": "{scale:.3f}",
     "best shift": "{best_shift}",
 }  # fmt: skip
-AGREEMENT_LIMITS = (
-    at_least("psnr_db", "least_psnr", digits=1),
-    at_least("correlation", "least_correlation", digits=3),
-)
+AGREEMENT_LIMITS = (at_least("psnr_db", "least_psnr", digits=1), at_least("correlation", "least_correlation", digits=3))
 SHOWN = "{psnr_db:.1f} dB, {correlation:.3f}"
 
 

@@ -422,11 +422,7 @@ BINNING = (1, 2, 4, 8)
     quick={"f_numbers": (8.0,), "pitches": (0.032,), "spp": 16},
 )  # fmt: skip
 def ray_limits(
-    output: Path,
-    *,
-    f_numbers: tuple[float, ...] = F_NUMBERS,
-    pitches: tuple[float, ...] = PITCHES,
-    spp: int = 128,
+    output: Path, *, f_numbers: tuple[float, ...] = F_NUMBERS, pitches: tuple[float, ...] = PITCHES, spp: int = 128
 ) -> Iterator[Row]:
     """Compare all cameras and draw the differences."""
     rows: list[Row] = []
