@@ -80,7 +80,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     model = _WhiteModel(white, camera, lens, _FINE)
     fit = model.fitted(_found(_WhiteModel(white, camera, lens, _COARSE)))
     residual = math.sqrt(np.mean(fit.fun**2))
-    deviations = residual * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)))
+    deviations = residual * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)).clip(0))
     values, residual = fit.x, residual / abs(float(fit.x[8]))
     refuse_if(
         residual > 0.1,
