@@ -120,10 +120,10 @@ def load(name: str) -> Any:
 
     @functools.wraps(command)
     def called(quiet: bool, verbose: bool, **values: Any) -> None:
-        taken_by = {name: {option: values[option] for option in several} for name, several in options.items()}
-        command(**{name: several.get(name, several) for name, several in taken_by.items()})
+        taken_by = {name: {option: values[option] for option in group} for name, group in options.items()}
+        command(**{name: group.get(name, group) for name, group in taken_by.items()})
 
-    parameters = [parameter for several in options.values() for parameter in several.values()]
+    parameters = [parameter for group in options.values() for parameter in group.values()]
     called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     alone = typer.Typer(rich_markup_mode="rich", add_completion=False)
     alone.command(name, help=help_text(module, command.__name__), context_settings=_HELP)(
@@ -289,15 +289,15 @@ def _interrupts() -> Iterator[None]:
     # Other handlers, and threads that receive no signals, keep what they have.
     before = {}
     if threading.current_thread() is threading.main_thread():
-        before = {number: signal.getsignal(number) for number in STOPS}
-    ours = [number for number, handler in before.items() if handler in (signal.default_int_handler, signal.SIG_DFL)]
-    for number in ours:
-        signal.signal(number, stop)
+        before = {signum: signal.getsignal(signum) for signum in STOPS}
+    ours = [signum for signum, handler in before.items() if handler in (signal.default_int_handler, signal.SIG_DFL)]
+    for signum in ours:
+        signal.signal(signum, stop)
     try:
         yield
     finally:
-        for number in ours:
-            signal.signal(number, before[number])
+        for signum in ours:
+            signal.signal(signum, before[signum])
         INTERRUPTED.clear()
 
 

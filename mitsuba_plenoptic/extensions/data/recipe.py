@@ -266,11 +266,11 @@ def _source(index: int, entry: Any, folder: Path) -> Source:
         values = {key: value for key, value in entry.items() if key in settings}
         return Source(kind, None, share, {key: parse(f"{name}: {key}", value) for key, value in values.items()})
     require_known(f"{name}: ", entry, ("scene", "share", "parameters", "unit"))
-    given = _values_by_name(f"{name}: parameters", entry.get("parameters", {}))
+    parameters = _values_by_name(f"{name}: parameters", entry.get("parameters", {}))
     scene = str(entry["scene"])
     with naming(name):
         path = folder / scene if (folder / scene).is_file() else scene_path(scene)
-    parsed = {str(key): parse(f"{name}: {key}", value) for key, value in given.items()}
+    parsed = {str(key): parse(f"{name}: {key}", value) for key, value in parameters.items()}
     unit = require_choice(f"{name}: unit", entry.get("unit", "mm"), UNITS)
     return Source(None, str(path.resolve()), share, parsed, unit)
 
