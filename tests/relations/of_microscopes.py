@@ -99,27 +99,3 @@ def light_of_fourier_microscopes(draw):
         around = ray[int(y) - 2 : int(y) + 3, int(x) - 2 : int(x) + 3]
         means.append(abs(around.mean() - part))
     return max([*means, abs(float(wave.sum() / ray.sum()) - 1) - 0.03]), 0.08
-
-
-@relation(Use(0), ALL, "Fourier microscopes")
-def points_of_fourier_microscopes(draw):
-    """Points by shared spreads: those of full fields on a crop, and mirrored where camera and points are."""
-    camera, rng = microscope(draw.rng), draw.rng
-    camera = camera.replace(main_lens=replace(camera.main_lens, field_stop=None))
-    if camera.mla_lattice == "hexagonal" and rng.random() < 0.5:
-        camera = camera.replace(mla_focal_length=tuple(camera.mla_focal_length * np.array([1, 0.97, 1.02])))
-    half = 0.4 * camera.mla_pitch / camera.main_lens.view_scale(camera.detector_distance)
-    points = np.column_stack([rng.uniform(-half, half, (2, 2)), rng.uniform(-5e-3, 5e-3, 2)])
-
-    def image(camera, points, method="patch"):
-        return mp.CaptureOperator(camera, points, wavelength=550, method=method).forward([1.0, 2.0])
-
-    whole, size = image(camera, points), camera.resolution[0]
-    part = camera.replace(crop_offset=(size // 4, size // 8), crop_size=(size // 2, size // 3))
-    window = np.s_[size // 8 : size // 8 + size // 3, size // 4 : size // 4 + size // 2]
-    offs = [off(image(part, points), image(part, points, "full_field")), 10 * off(whole[window], image(part, points))]
-    if len(camera.mla_focal_lengths) == 1:
-        x, y = camera.mla_offset
-        mirrored = camera.replace(mla_offset=(-x, y), mla_rotation=-camera.mla_rotation)
-        offs.append(3 * off(image(mirrored, points * [-1, 1, 1])[:, ::-1], whole))
-    return max(offs), 0.012
