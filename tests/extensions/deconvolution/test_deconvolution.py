@@ -131,7 +131,8 @@ def test_an_even_world_reads_1_in_all_planes_and_behind_gaps(options, distance, 
     if camera.vignetting is None:
         np.testing.assert_allclose(own.image, own.image.T, atol=1e-4)
     for fine in (2, 4):
-        np.testing.assert_allclose(mp.reconstruct(own, 120.0, method="deconvolved", oversample=fine).image, 1, atol=0.005)
+        image = mp.reconstruct(own, 120.0, method="deconvolved", oversample=fine).image
+        np.testing.assert_allclose(image, 1, atol=0.005)
 
 
 SIZE = {"detector_width": 2.24, "resolution": (448, 448), "crop_size": (64, 64)}
