@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rays import STAR, lens_cells, light_of_cells
-from ..runtime import Doubles, drjit_array, interleaved
+from ..runtime import Box, Doubles, Flags, drjit_array, interleaved
 from .ray_sampler import CellLenses, LensSampler
 from .signed_capture import SignedCapture
 from .signed_rays import CellMeans, RayBatch, SignedRaySum
@@ -39,6 +39,10 @@ class WhiteCapture(SignedCapture):
 
 class WhiteSum(SignedRaySum):
     """The sum of a `WhiteCapture`, computed by blocks of the detector."""
+
+    def _far(self, box: Box) -> Flags:
+        """Return a mask of no pixel: those drawn at random of the far ones would be all that is random."""
+        return np.zeros((box.rows, box.columns), bool)
 
     def estimate(self, batch: RayBatch, only: int | None = None) -> list[CellMeans | None]:
         """Return each node's mean values over the rays of the cells of a batch."""

@@ -251,7 +251,7 @@ def white(
     from . import white_result
     from .photon_transfer import photon_transfer
     from .white_fit import fit_white
-    from .white_frames import sensor_pictures
+    from .white_frames import sensor_pictures, values_of
     from .white_page import write_white_report
 
     light, black = sensor_pictures(picture, dark=dark)
@@ -263,7 +263,7 @@ def white(
             noise = str(error)
     nanometres = None if model == "ray" else wavelength or 550.0
     with naming(picture), progress_bar("Fitting the camera") as progress:
-        fit = fit_white(light, nominal, dark=black, wavelength=nanometres, progress=progress)
+        fit = fit_white(values_of(picture), nominal, dark=black, wavelength=nanometres, progress=progress)
     values = {**fit.camera.to_dict(), "calibration": white_result.record(fit, noise)}
     write_text(output, json.dumps(values, indent=1) + "\n", ".json")
     lines = white_result.summary(fit, noise)

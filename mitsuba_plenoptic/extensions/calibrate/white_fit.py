@@ -8,6 +8,7 @@ import scipy.ndimage
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import naming, refuse_if, require_wavelength
+from ...io import Capture
 from ...runtime import Array, Progress, single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, zones_of
@@ -71,7 +72,7 @@ class WhiteFit:
 
 @single_threaded_blas()
 def fit_white(
-    white: Array,
+    white: Array | Capture,
     camera: PlenopticCamera,
     *,
     dark: Array | None = None,
@@ -83,8 +84,8 @@ def fit_white(
 
     Parameters
     ----------
-    white : (rows, columns) array
-        Values of the sensor, proportional to light.
+    white : (rows, columns) array or Capture
+        Values of the sensor, proportional to light. Many with the largest one are saturated, but in a computed capture.
     camera : PlenopticCamera
         The camera as it is known: main lens, microlenses' focal length, their distance to the detector, pixels. The
         size of the picture replaces its resolution, with pixels of the same size.

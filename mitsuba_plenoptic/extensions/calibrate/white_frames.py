@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from ... import choices
 from ...errors import refuse_if, warn
-from ...io import Capture, read_numbers
+from ...io import EXPOSED, RECORDED, Capture, read_numbers
 from ...runtime import Array, as_pixels
 from ...views import read_recording
 
@@ -41,10 +41,12 @@ class WhiteFrame:
     unlit: int
 
     @classmethod
-    def of(cls, white: Array, dark: Array | None = None) -> WhiteFrame:
+    def of(cls, white: Array | Capture, dark: Array | None = None) -> WhiteFrame:
         """Return the frame of a white picture (rows, columns) and a dark one of the same size."""
         light = single_channel("white", white)
-        saturated = clipped("white", light)
+        # What no detector has recorded may be as bright in many pixels.
+        computed = isinstance(white, Capture) and not {EXPOSED, RECORDED} & white.metadata.keys()
+        saturated = np.zeros(light.shape, bool) if computed else clipped("white", light)
         defective = np.zeros(light.shape, bool)
         if dark is not None:
             dark = matching("dark", dark, light)
@@ -70,17 +72,17 @@ def sensor_pictures(white: Path, **others: Path | None) -> list[Any]:
 
     They are proportional to light: the numbers in a picture. Pictures have one channel, and the size of the white one.
     """
-    light = single_channel("white", _values(white))
+    light = single_channel("white", values_of(white))
     named = {name.replace("_", " "): path for name, path in others.items()}
-    pictures = [None if path is None else matching(name, _values(path), light) for name, path in named.items()]
+    pictures = [None if path is None else matching(name, values_of(path), light) for name, path in named.items()]
     return [light, *pictures]
 
 
-def _values(path: Path) -> Array:
+def values_of(path: Path) -> Array | Capture:
+    """Return the numbers in a picture, or a capture that tells whether a detector recorded it."""
     if path.suffix.lower() in choices.RAW_SUFFIXES:
         return read_numbers(path).numbers.astype(np.float64)
-    recording = read_recording(path, linear=True)
-    return recording.image if isinstance(recording, Capture) else recording
+    return read_recording(path, linear=True)
 
 
 def level_and_noise(values: Array) -> tuple[float, float]:
@@ -128,7 +130,7 @@ def black_level(light: Array) -> float:
     return level
 
 
-def matching(name: str, picture: Array, white: Array) -> Array:
+def matching(name: str, picture: Array | Capture, white: Array) -> Array:
     """Return a picture of one channel with the pixels of a white one; refuse others."""
     values = single_channel(name, picture)
     refuse_if(
@@ -138,7 +140,7 @@ def matching(name: str, picture: Array, white: Array) -> Array:
     return values
 
 
-def single_channel(name: str, picture: Array) -> Array:
+def single_channel(name: str, picture: Array | Capture) -> Array:
     """Return a picture of one channel as (rows, columns) numbers; refuse others."""
     values = as_pixels(name, picture, np.float64)
     refuse_if(

@@ -158,11 +158,11 @@ def flat_field(
 ) -> Floats:
     """Return what pixels record over a response's light, by their white; 0 where a recorded one is far from that."""
     computed = response.forward(np.full(response.source_shape, bright / len(response.shapes), np.float32))
-    # A recorded white says nothing of darker pixels.
-    lit = computed > 0.03 * computed.max()
+    # A recorded white says nothing of darker pixels; a computed one does of all that steps use.
+    lit = computed > (0.03 if is_recorded else 0.005) * computed.max()
     ratio = np.divide(white, computed, out=np.ones_like(computed), where=lit)
     if not is_recorded:
-        return ratio.clip(0, 2).astype(np.float32)
+        return ratio.clip(0, 20).astype(np.float32)
     ratio /= np.median(ratio[lit & (white > 0)])
     # Pixels behind dust are left out. Micro-images of lenses of another brightness are no dust.
     return np.where(lit, np.where(abs(ratio - 1) < 0.15, ratio, 0), 1).astype(np.float32)

@@ -9,7 +9,7 @@ import scipy.ndimage
 from PIL import Image
 from refusals import refused, refuses
 
-from mitsuba_plenoptic import PlenopticCamera, Vignetting, render_capture
+from mitsuba_plenoptic import Capture, PlenopticCamera, Vignetting, render_capture
 from mitsuba_plenoptic.calibration import fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.camera.lens_transmissions import LensTransmissions
@@ -18,7 +18,7 @@ from mitsuba_plenoptic.cli import main
 from mitsuba_plenoptic.detector import DetectorOperator
 from mitsuba_plenoptic.extensions.calibrate import white_fit
 from mitsuba_plenoptic.extensions.calibrate.array_fit import fit_array, places
-from mitsuba_plenoptic.extensions.calibrate.white_frames import black_level
+from mitsuba_plenoptic.extensions.calibrate.white_frames import WhiteFrame, black_level
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.io.pictures import read_picture
 from mitsuba_plenoptic.views import lens_grid, white_image
@@ -43,6 +43,7 @@ def test_numbers_of_a_drawn_white_are_found():
     camera = THIN.replace(mla_lattice="hexagonal", mla_rotation=27.0, detector_blur=0.8 * THIN.pixel_size)
     camera = camera.replace(stray_light=HALF_IN_CORNERS)
     light = white_image(camera)
+    assert WhiteFrame.of(Capture(white_image(THIN), THIN)).saturated == 0
     white, dark = recorded(light)
     start = camera.replace(mla_pitch=0.0992, mla_rotation=0.0, mla_offset=(0, 0), aperture_radius=2.8)
     found = fit_white(white, start, dark=dark, wavelength=None)
@@ -159,6 +160,7 @@ test_wrong_pictures_are_refused = refused(
     (lambda: fitted(mla_lattice="hexagonal"), "rows that are not shifted"),
     (lambda: fitted(WHITE.T, DARK.T), "is the picture turned"),
     (lambda: fitted(WHITE.clip(None, 15000)), "saturated"),
+    (lambda: fitted(Capture(WHITE.clip(None, 15000), SMALL, metadata={"raw": {}})), "saturated"),
     (lambda: fitted(DARK, WHITE), "dark: it is not darker"),
     (lambda: fitted(WHITE.max() - WHITE, None), "no white picture by this camera"),
     (lambda: fit_white(WHITE, PlenopticCamera(mla_lattice="none"), wavelength=None), "mla_lattice = none"),
