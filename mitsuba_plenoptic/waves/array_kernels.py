@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,16 +55,9 @@ def lens_functions(waves: LensWaves, degree: int, tolerance: float, lands_by_poi
     u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points))
     # Two directions stand for all rays, with their mean square along each axis; opposite ones have mirror images.
     along, across = np.sqrt(2 * np.mean(np.square(waves.cosines()), axis=0)).tolist()
-    images = np.concatenate(
-        [
-            _images(waves, polynomials, kind, polynomials.functions, cosines)
-            for kind in waves.types
-            for cosines in ((along, 0.0), (0.0, across))
-        ],
-        axis=1,
-    )
+    images = _images(waves, polynomials, polynomials.functions, np.diag([along, across]))
     allowed = USUAL.missing_functions * tolerance
-    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), images)
+    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), np.hstack(images))
 
 
 @single_threaded_blas()
@@ -71,25 +65,19 @@ def oblique_kernels(waves: LensWaves, functions: LensFunctions, degree: int, tol
     """Return combinations of the changes of kernels with the direction of light; see `lens_functions`."""
     cosines = waves.cosines()
     largest = float(np.hypot(*cosines.T).max())
-    # Small apertures fall between the points of a grid that is as fine for all.
-    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points))
     # Kernels of steep light change with its direction as polynomials of degree 4.
     edge = max(waves.lattice.aperture_reach / kind.distance for kind in waves.kinds)
     is_steep = bool(largest + edge > USUAL.steep)
-    images = [
-        np.concatenate([_images(waves, functions, kind, functions.duals, (a, b)) for kind in waves.types], axis=1)
-        for a, b in directions(4 if is_steep else 2) * largest
-    ]
-    light = functions.light(u[inside], v[inside])
+    images = _images(waves, functions, functions.duals, directions(4 if is_steep else 2) * largest)
     allowed = USUAL.missing_oblique[is_steep] * tolerance
     most = USUAL.most_oblique * len(exponents(degree))
-    return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
+    return Oblique.best(largest, cosines / largest, images, _light(waves, functions), functions.odd, allowed, most)
 
 
+@single_threaded_blas()
 def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Oblique) -> Doubles:
     """Return the covariance of the values of an image's rays, for light with random edges from all directions."""
-    u, v, inside = waves.aperture_grid(USUAL.coarse_points // 2)
-    light = functions.light(u[inside], v[inside])
+    light = _light(waves, functions)
     across, up = waves.cosines().T / oblique.largest
     expected = np.transpose(terms(across, up, oblique.degree))
     factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
@@ -97,29 +85,32 @@ def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Ob
     return np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected)
 
 
-def _images(
-    waves: LensWaves,
-    polynomials: LensFunctions,
-    kind: Kind,
-    coefficients: Doubles,
-    cosines: tuple[float, float] = (0.0, 0.0),
-) -> Doubles:
-    """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
-    scale = in_millimetres(waves.wavelength) * kind.distance
-    fine = waves.lattice.pitches[0] / USUAL.pitch_lags
-    farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * waves.camera.pixel_size * fine)))
-    count = USUAL.coarse_lags
-    step = fine * max(1, farthest // count)
-    if count * step <= waves.lattice.aperture_width:
-        # Half as many are close enough for the aperture, and for the period of kernels.
-        count //= 2
-        step *= 1 + (farthest > count)
-    weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
-    transfer = _transfer(
-        waves, count, step, waves.samples_of(USUAL.coarse_samples), kind, polynomials, coefficients, cosines
-    )
-    spectra = transfer * (weights[:, None] * weights)
-    return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
+def _light(waves: LensWaves, functions: LensFunctions) -> Doubles:
+    """Return `LensFunctions.light` for the aperture."""
+    # Small apertures fall between the points of a grid that is as fine for all.
+    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
+    return functions.light(u[inside], v[inside])
+
+
+def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles, cosines: Doubles) -> Doubles:
+    """Return the spectra (directions, n, values) of kernels, as pixels record them, for combinations of polynomials."""
+    spectra = []
+    for kind in waves.types:
+        scale = in_millimetres(waves.wavelength) * kind.distance
+        fine = waves.lattice.pitches[0] / USUAL.pitch_lags
+        farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * waves.camera.pixel_size * fine)))
+        count = USUAL.coarse_lags
+        step = fine * max(1, farthest // count)
+        if count * step <= waves.lattice.aperture_width:
+            # Half as many are close enough for the aperture, and for the period of kernels.
+            count //= 2
+            step *= 1 + (farthest > count)
+        weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
+        sampling = count, step, waves.samples_of(USUAL.coarse_points)
+        transfers = _transfers(waves, *sampling, kind, polynomials, [coefficients] * len(cosines), cosines)
+        of_kind = np.stack(transfers) * (weights[:, None] * weights)
+        spectra += [part.reshape(*of_kind.shape[:2], -1) for part in (of_kind.real, of_kind.imag)]
+    return np.concatenate(spectra, axis=2)
 
 
 @single_threaded_blas()
@@ -144,13 +135,9 @@ def sampled_kernels(
         # Coarse pixels resolve few lags.
         coarser = USUAL.oblique_coarser if oblique.degree == 2 and farthest >= USUAL.coarse_lags else 1
         fewer = farthest // coarser, lag * coarser, waves.samples_of(USUAL.coarse_samples)
-        transfer = np.sum(
-            [
-                _transfer(waves, *fewer, kind, functions, functions.duals @ combination.T, (a, b))
-                for combination, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
-            ],
-            axis=0,
-        )
+        combinations = [functions.duals @ of_direction.T for of_direction in parts]
+        cosines = directions(oblique.degree) * oblique.largest
+        transfer = np.sum(_transfers(waves, *fewer, kind, functions, combinations, cosines), axis=0)
         # Their period is shorter, but not the border of their windows.
         small_count = min(count, count // coarser + USUAL.border // 2)
         small = _placed(waves, transfer, stride * coarser, step, small_count, kind)
@@ -205,6 +192,39 @@ def cell_kernels(waves: LensWaves, functions: LensFunctions, step: float, reach:
     for axis in (1, 2):
         kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
     return kernels[:, ::parts, ::parts]
+
+
+def _transfers(
+    waves: LensWaves,
+    farthest: int,
+    lag: float,
+    samples: int,
+    kind: Kind,
+    polynomials: LensFunctions,
+    coefficients: Sequence[Doubles],
+    cosines: Doubles,
+) -> list[NDArray[np.complex64]]:
+    """Return `_transfer` for each of some direction cosines (directions, 2), and for the coefficients of each.
+
+    Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the sign of
+    odd polynomials: one computation serves both.
+    """
+    signs = (-1.0) ** np.sum(polynomials.exponents, axis=1)[:, None]
+    x, y, _ = waves.aperture_grid(USUAL.coarse_points)
+    transfers: dict[int, NDArray[np.complex64]] = {}
+    for index, direction in enumerate(cosines):
+        if index in transfers:
+            continue
+        pair = [index]
+        for other in range(index + 1, len(cosines)):
+            if np.abs(cosines[other] + direction).max() <= USUAL.mirrored:
+                ahead, behind = (waves.transmission((x, y), kind, tuple(cosines[i]))[1] for i in (index, other))
+                pair += [other] * bool(np.abs(ahead - behind[::-1, ::-1]).max() <= USUAL.mirrored)
+        both = np.hstack([coefficients[index], *(signs * coefficients[other] for other in pair[1:])])
+        transfer = _transfer(waves, farthest, lag, samples, kind, polynomials, both, tuple(direction))
+        parts = np.split(transfer, len(pair))
+        transfers |= {i: part.conj() if i > index else part for i, part in zip(pair, parts, strict=True)}
+    return [transfers[index] for index in range(len(cosines))]
 
 
 def _transfer(

@@ -426,21 +426,22 @@ class LensPoints:
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[Floats]:
     """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
-    divisions = [divided(density_of(values)) for nodes in plan.table for values in nodes[..., 0]]
+    divisions = [divided(density) for nodes in plan.table for density in densities_of(nodes[..., 0])]
     edges = (np.array(of_axis, np.float32) - np.float32(0.5) for of_axis in zip(*divisions, strict=True))
     # A ray reads both edges at once.
     return [np.stack([of_axis[..., :-1], of_axis[..., 1:]], axis=-1).ravel() for of_axis in edges]
 
 
-def density_of(values: Floats) -> Doubles:
-    """Return the sampling density for samples of a coefficient, which may be negative."""
-    square = values.astype(np.float64) ** 2
+def densities_of(values: Floats) -> Doubles:
+    """Return the sampling densities over windows (n, rows, columns) of a coefficient, which may be negative."""
+    square = np.square(values, dtype=np.float32)
     # Between samples a ray takes one of the nearest ones.
-    for axis in (0, 1):
-        square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
+    for axis in (1, 2):
+        pairs = square + np.roll(square, 1, axis)
+        square = pairs + np.roll(pairs, -1, axis)
     root = np.sqrt(square)
     # 0.05: Part of the mean density that is added, as other coefficients may be nonzero where the first is 0.
-    return root + 0.05 * root.mean()
+    return (root + 0.05 * root.mean((1, 2), keepdims=True)).astype(np.float64)
 
 
 def divided(density: Doubles) -> tuple[Doubles, Doubles]:
