@@ -10,7 +10,7 @@ import typer
 from ... import choices
 from ...cli import inputs, options
 from ...errors import InputError
-from ...runtime import in_words, progress_bar, require_writable
+from ...runtime import in_words, progress_bar
 
 
 def preview(
@@ -45,6 +45,8 @@ def preview(
     $ mitsuba-plenoptic preview my_scene.xml --camera lytro
     $ mitsuba-plenoptic preview beads
     """
+    from ...runtime import require_writable
+
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     inputs.require_png(dpi, target)
     costs = {}
