@@ -192,11 +192,7 @@ class Glass:
         require_known(f"{where}: ", forms, (*_COUNTS, "name"))
         refuse_if(
             not isinstance(name, str)
-            or set(forms)
-            not in (
-                *({form} for form in _COUNTS if form != "abbe"),
-                {"index", "abbe"},
-            ),
+            or set(forms) not in (*({form} for form in _COUNTS if form != "abbe"), {"index", "abbe"}),
             f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
             "table, and may have name",
         )
@@ -218,21 +214,14 @@ class Glass:
 
 
 def catalogue_glass(
-    name: str,
-    where: str = "glass",
-    makers: Sequence[str] | None = None,
-    *,
-    with_hyphens: bool = True,
-    stated: Glass | None = None,
+    name: str, where: str = "glass", makers: Sequence[str] | None = None, with_hyphens: bool = True, stated: Any = None
 ) -> Glass:
     """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
-    For older glasses of SCHOTT, such as SK16 and LAKN22, stand the indices `stated` or, with a warning, their
-    successors N-SK16 and N-LAK22.
-
     The usual glasses of SCHOTT, by the Sellmeier coefficients of its data sheets, and fused silica (Malitson, J. Opt.
     Soc. Am. 55, 1205 (1965)) are in a table of the package. Further catalogues are those of refractiveindex.info
-    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals.
+    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals; for an older one of
+    SCHOTT, such as SK16, stands the glass `stated` or, with a warning, the successor N-SK16.
     """
     maker, _, glass = name.rpartition(":")
     if maker:
@@ -252,10 +241,7 @@ def catalogue_glass(
             if plain in rows:
                 return successor
     catalogues: dict[str, _Entry] = {}
-    missing = (
-        f"{where} = {short_repr(name)}: it is not among the glasses included, and others by name need Optiland; "
-        "pip install 'mitsuba-plenoptic[lenses]', or give index and abbe"
-    )
+    missing = f"{where} = {short_repr(name)}: others than those included need pip install 'mitsuba-plenoptic[lenses]'"
     with contextlib.suppress(ImportError) if successor else refusing(missing, ImportError):
         importlib.import_module("optiland.materials")
         catalogues = {entry.maker: entry for entry in _catalogued() if plain == entry.name.lower().replace("-", hyphen)}
@@ -267,9 +253,7 @@ def catalogue_glass(
         raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{glass}")
     if successor and not chosen:
         if stated is None:
-            warn(
-                f"{where} = {short_repr(name)}: its successor {successor.name}, of a little other index, stands for it"
-            )
+            warn(f"{where} = {name}: its successor {successor.name}, of a little other index, stands for it")
         return stated or successor
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"

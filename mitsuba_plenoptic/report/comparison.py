@@ -300,40 +300,32 @@ def draw_comparison(
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
     """Draw the thin lens, then a row for each method, of both captures at up to two distances, with notes."""
-    methods = experiment.settings.methods
-    sources = list(dict.fromkeys(method.source for method in methods))
-    rows: dict[str, dict[str, RefocusMethod]] = {}
-    for method in methods:
+    rows: dict[str, dict[str, RefocusMethod]] = {"": {"ray": RefocusMethod("truth", METHOD_TITLES["truth"], {})}}
+    for method in experiment.settings.methods:
         rows.setdefault(str(method.options), {})[method.source] = method
     # With more than four panels in a row, text could not be read where the figure is shown as wide as a page.
     distances = experiment.settings.distances
-    together = min(len(distances), 4 // len(sources))
+    together = min(len(distances), 2)
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
-    plot = Plot(2.5 * together * len(sources))
-    count = math.ceil(len(distances) / together) * (1 + len(rows))
-    panels = plot.panels(count, together * len(sources), window.aspect)
-    truth = {sources[0]: RefocusMethod("truth", METHOD_TITLES["truth"], {})}
+    plot = Plot(5.0 * together)
+    panels = plot.panels(math.ceil(len(distances) / together) * len(rows), 2 * together, window.aspect)
     for index, distance in enumerate(distances):
-        block, place = divmod(index, together)
-        for line, row in enumerate((truth, *rows.values())):
+        block, column = divmod(index, together)
+        for line, row in enumerate(rows.values()):
             for source, method in row.items():
-                axes = panels[block * (1 + len(rows)) + line, place * len(sources) + sources.index(source)]
-                show(axes, window.of(experiment.image(method.name, distance)), peak=peak)
+                axes = panels[block * len(rows) + line, 2 * column + (source == "wave")]
                 title = f"{source} capture" * (line == 1) if line else distance_text(distance)
-                side = "" if place or source != next(iter(row)) else row.get("wave", method).title
-                annotate(axes, title=title, side=side, foot=notes.get((method.name, distance), ""))
+                side = row.get("wave", method).title * (not column and source == next(iter(row)))
+                image = window.of(experiment.image(method.name, distance))
+                show(axes, image, title, peak=peak, side=side, foot=notes.get((method.name, distance), ""))
                 object_bar(axes, experiment.camera, distance, window)
     plot.save_both(path, experiment.settings.pdf)
 
 
 @styled
 def figure_pairs(
-    path: Path,
-    pairs: Mapping[str, Sequence[Array]],
-    bound: float,
-    bar: Callable[[Axes, Array], None],
-    pdf: bool,
+    path: Path, pairs: Mapping[str, Sequence[Array]], bound: float, bar: Callable[[Axes, Array], None], pdf: bool
 ) -> None:
     """Draw images by rays, by waves, and their difference up to a bound relative to white; a row for each title.
 

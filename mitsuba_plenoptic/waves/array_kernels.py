@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,15 +24,7 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import (
-    Doubles,
-    Floats,
-    Integers,
-    exponents,
-    fft,
-    on_all_cores,
-    single_threaded_blas,
-)
+from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -57,7 +48,7 @@ def lens_functions(waves: LensWaves, degree: int, tolerance: float, lands_by_poi
     along, across = np.sqrt(2 * np.mean(np.square(waves.cosines()), axis=0)).tolist()
     images = _images(waves, polynomials, polynomials.functions, np.diag([along, across]))
     allowed = USUAL.missing_functions * tolerance
-    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), np.hstack(images))
+    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), np.concatenate([*images], 1))
 
 
 @single_threaded_blas()
@@ -69,15 +60,19 @@ def oblique_kernels(waves: LensWaves, functions: LensFunctions, degree: int, tol
     edge = max(waves.lattice.aperture_reach / kind.distance for kind in waves.kinds)
     is_steep = bool(largest + edge > USUAL.steep)
     images = _images(waves, functions, functions.duals, directions(4 if is_steep else 2) * largest)
+    # Small apertures fall between the points of a grid that is as fine for all.
+    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
+    light = functions.light(u[inside], v[inside])
     allowed = USUAL.missing_oblique[is_steep] * tolerance
     most = USUAL.most_oblique * len(exponents(degree))
-    return Oblique.best(largest, cosines / largest, images, _light(waves, functions), functions.odd, allowed, most)
+    return Oblique.best(largest, cosines / largest, images, light, functions.odd, allowed, most)
 
 
 @single_threaded_blas()
 def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Oblique) -> Doubles:
     """Return the covariance of the values of an image's rays, for light with random edges from all directions."""
-    light = _light(waves, functions)
+    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
+    light = functions.light(u[inside], v[inside])
     across, up = waves.cosines().T / oblique.largest
     expected = np.transpose(terms(across, up, oblique.degree))
     factors = np.einsum("rnk,sk->srn", oblique.factors, expected)
@@ -85,16 +80,11 @@ def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Ob
     return np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected)
 
 
-def _light(waves: LensWaves, functions: LensFunctions) -> Doubles:
-    """Return `LensFunctions.light` for the aperture."""
-    # Small apertures fall between the points of a grid that is as fine for all.
-    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
-    return functions.light(u[inside], v[inside])
-
-
 def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles, cosines: Doubles) -> Doubles:
     """Return the spectra (directions, n, values) of kernels, as pixels record them, for combinations of polynomials."""
     spectra = []
+    turned = waves.camera.microlens.is_parabolic and len(waves.types) == 1
+    signs = (-1.0) ** np.sum(polynomials.odd, axis=1)[:, None, None]
     for kind in waves.types:
         scale = in_millimetres(waves.wavelength) * kind.distance
         fine = waves.lattice.pitches[0] / USUAL.pitch_lags
@@ -106,21 +96,24 @@ def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles,
             count //= 2
             step *= 1 + (farthest > count)
         weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
-        sampling = count, step, waves.samples_of(USUAL.coarse_points)
-        transfers = _transfers(waves, *sampling, kind, polynomials, [coefficients] * len(cosines), cosines)
+        transfers: list[Any] = []
+        for direction in cosines:
+            # Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the
+            # signs of odd functions.
+            before = zip(transfers, cosines if turned else [], strict=False)
+            if opposite := [transfer for transfer, earlier in before if np.allclose(earlier, -direction)]:
+                transfers.append(opposite[0].conj() * signs)
+            else:
+                options = polynomials, coefficients, direction
+                transfers.append(_transfer(waves, count, step, waves.samples_of(USUAL.coarse_points), kind, *options))
         of_kind = np.stack(transfers) * (weights[:, None] * weights)
-        spectra += [part.reshape(*of_kind.shape[:2], -1) for part in (of_kind.real, of_kind.imag)]
+        spectra += [values.reshape(*of_kind.shape[:2], -1) for values in (of_kind.real, of_kind.imag)]
     return np.concatenate(spectra, axis=2)
 
 
 @single_threaded_blas()
 def sampled_kernels(
-    waves: LensWaves,
-    functions: LensFunctions,
-    oblique: Oblique,
-    step: float,
-    samples: tuple[int, int, int],
-    kind: Kind,
+    waves: LensWaves, functions: LensFunctions, oblique: Oblique, step: float, samples: tuple[int, int, int], kind: Kind
 ) -> Doubles:
     """Return kernels (n, k, k) on a grid of width `step`, times the area of a grid cell, with a given sampling.
 
@@ -135,9 +128,13 @@ def sampled_kernels(
         # Coarse pixels resolve few lags.
         coarser = USUAL.oblique_coarser if oblique.degree == 2 and farthest >= USUAL.coarse_lags else 1
         fewer = farthest // coarser, lag * coarser, waves.samples_of(USUAL.coarse_samples)
-        combinations = [functions.duals @ of_direction.T for of_direction in parts]
-        cosines = directions(oblique.degree) * oblique.largest
-        transfer = np.sum(_transfers(waves, *fewer, kind, functions, combinations, cosines), axis=0)
+        transfer = np.sum(
+            [
+                _transfer(waves, *fewer, kind, functions, functions.duals @ combination.T, (a, b))
+                for combination, (a, b) in zip(parts, directions(oblique.degree) * oblique.largest, strict=True)
+            ],
+            axis=0,
+        )
         # Their period is shorter, but not the border of their windows.
         small_count = min(count, count // coarser + USUAL.border // 2)
         small = _placed(waves, transfer, stride * coarser, step, small_count, kind)
@@ -192,39 +189,6 @@ def cell_kernels(waves: LensWaves, functions: LensFunctions, step: float, reach:
     for axis in (1, 2):
         kernels = np.apply_along_axis(np.convolve, axis, kernels, tent, "valid")
     return kernels[:, ::parts, ::parts]
-
-
-def _transfers(
-    waves: LensWaves,
-    farthest: int,
-    lag: float,
-    samples: int,
-    kind: Kind,
-    polynomials: LensFunctions,
-    coefficients: Sequence[Doubles],
-    cosines: Doubles,
-) -> list[NDArray[np.complex64]]:
-    """Return `_transfer` for each of some direction cosines (directions, 2), and for the coefficients of each.
-
-    Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the sign of
-    odd polynomials: one computation serves both.
-    """
-    signs = (-1.0) ** np.sum(polynomials.exponents, axis=1)[:, None]
-    x, y, _ = waves.aperture_grid(USUAL.coarse_points)
-    transfers: dict[int, NDArray[np.complex64]] = {}
-    for index, direction in enumerate(cosines):
-        if index in transfers:
-            continue
-        pair = [index]
-        for other in range(index + 1, len(cosines)):
-            if np.abs(cosines[other] + direction).max() <= USUAL.mirrored:
-                ahead, behind = (waves.transmission((x, y), kind, tuple(cosines[i]))[1] for i in (index, other))
-                pair += [other] * bool(np.abs(ahead - behind[::-1, ::-1]).max() <= USUAL.mirrored)
-        both = np.hstack([coefficients[index], *(signs * coefficients[other] for other in pair[1:])])
-        transfer = _transfer(waves, farthest, lag, samples, kind, polynomials, both, tuple(direction))
-        parts = np.split(transfer, len(pair))
-        transfers |= {i: part.conj() if i > index else part for i, part in zip(pair, parts, strict=True)}
-    return [transfers[index] for index in range(len(cosines))]
 
 
 def _transfer(

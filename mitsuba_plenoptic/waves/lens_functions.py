@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, Floats, Pair, exponents, monomials, on_all_cores
+from ..runtime import Doubles, Pair, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
 
@@ -216,12 +216,12 @@ def edge_covariance(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Do
     return _covariance(_differing(values, u, v, scale))
 
 
-def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles:
+def _differing(values: Any, u: Any, v: Any, scale: float) -> Doubles:
     """Return the covariance of functions' integrals over light with random edges, less the mean."""
     values = (values - values.mean(0)).astype(np.float32)
     u, v = (np.asarray(coordinate, np.float32) for coordinate in (u, v))
 
-    def of_some(rows: slice) -> Floats:
+    def of_some(rows: slice) -> Any:
         apart = np.square(u[rows, None] - u)
         apart += np.square(v[rows, None] - v)
         return values[rows].T @ (np.sqrt(apart, out=apart) @ values)

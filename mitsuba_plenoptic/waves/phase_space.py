@@ -50,13 +50,7 @@ from ..runtime import (
 )
 from .accuracy import FINER, USUAL, WaveAccuracy
 from .array_field import LensWaves
-from .array_kernels import (
-    cell_kernels,
-    covariance_of_values,
-    lens_functions,
-    oblique_kernels,
-    sampled_kernels,
-)
+from .array_kernels import cell_kernels, covariance_of_values, lens_functions, oblique_kernels, sampled_kernels
 from .lens_functions import LegendreProducts, LensFunctions
 from .oblique import Oblique
 
@@ -71,6 +65,7 @@ _BYTES = 2**30
 takes some 18 MiB, and 40 MiB at f/2."""
 
 _tables: dict[tuple[Any, ...], Table] = {}
+_Jitter = tuple[Any, Any, Any, Any]
 
 
 class TableNode(NamedTuple):
@@ -308,10 +303,9 @@ class PhaseSpace:
         # The area elements of steps of the node's index; on the axis any values give the same result.
         area = ((self.accuracy.radial - radial - aside) * distance).astype(np.float32)
         points = (distance * np.stack([np.cos(direction), np.sin(direction)])).astype(np.float32)
-        square = np.square(distance).astype(np.float32)[:, None]
         # Where no light passes, the light of what is tabulated is multiplied by 0.
         dark = USUAL.least_transmission
-        passed = np.maximum(aperture.power(*(points / radius)), dark) if aperture != Round() else np.ones_like(area)
+        passed = np.maximum(aperture.power(*(points / radius)), dark)
         lags = np.stack([lag.ravel() for lag in np.broadcast_arrays(lag_u, lag_v)])
         room = np.float32(radius**2) - np.square(lags).sum(0) / 4
         total = np.zeros_like(room)
@@ -320,7 +314,7 @@ class PhaseSpace:
             # Both points P + lag / 2 and P - lag / 2 are within the pupil.
             both = points[:, some].T @ lags
             np.abs(both, out=both)
-            both += square[some]
+            both += np.square(points[:, some]).sum(0)[:, None]
             np.less_equal(both, room, out=both)
             if aperture != Round():
                 ends = [(points[:, some, None] + side * lags[:, None] / 2) / radius for side in (1, -1)]
@@ -534,11 +528,11 @@ class RayCoefficients:
         ]
         self._signs = drjit_array(mi.UInt32, np.array(quarters))
 
-    def __call__(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list[Any]:
         """Return the coefficients of rays from points of a lens through points of the pupil."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any) -> list[Any]:
+    def places(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list[Any]:
         """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
@@ -579,9 +573,7 @@ class RayCoefficients:
             for n, value in enumerate(values[: self.plan.functions.count])
         ]
 
-    def slopes(
-        self, point: Pair, pupil: Pair, jitter: tuple[Any, Any, Any, Any], active: Any
-    ) -> tuple[list[Any], list[Any]]:
+    def slopes(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> tuple[list[Any], list[Any]]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
         Pu, Pv = self._lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, jitter[0])

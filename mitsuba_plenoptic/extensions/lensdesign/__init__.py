@@ -3,8 +3,5 @@
 from ...extension import Extension, FileFormat
 
 EXTENSION = Extension(
-    formats={
-        ".zmx": FileFormat("lens", "zemax_file:read_zemax"),
-        ".seq": FileFormat("lens", "codev_file:read_codev"),
-    },
+    formats={".zmx": FileFormat("lens", "zemax_file:read_zemax"), ".seq": FileFormat("lens", "codev_file:read_codev")}
 )

@@ -49,7 +49,7 @@ def preview(
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     inputs.require_png(dpi, target)
-    costs = {}
+    costs: list[str] = []
     with progress_bar("Previewing") as progress:
         from ... import design
         from ...camera import PlenopticCamera
@@ -71,9 +71,9 @@ def preview(
             progress(3 + len(costs), 5)
             try:
                 cost = estimate_capture(loaded, model=model, spp=spp)
-                costs[model] = f"about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB"
+                costs.append(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
             except (InputError, guards.PhysicsError) as error:
-                costs[model] = f"refused: {error}"
+                costs.append(f"{model} capture: refused: {error}")
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"{view.sharp_label}: {view.between(*view.sharp_range())}")
@@ -82,7 +82,7 @@ def preview(
     if seen_by.objective is not None and seen_by.objective.is_fourier:
         count = str(len(design.lenses_in_stop(seen_by)[1]))
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {count} of them")
-    for model, text in costs.items():
-        typer.echo(f"{model} capture: {text}")
+    for text in costs:
+        typer.echo(text)
     for text in framing_warnings(shown_preview):
         typer.echo(f"framing: {text}")

@@ -237,12 +237,10 @@ def test_usual_glasses_need_no_optiland(monkeypatch, tmp_path):
         assert (d - 1) / (f - c) == pytest.approx(float(abbe), abs=0.05)
     named = ZEMAX.replace("GLAS ___BLANK 1", "GLAS F2 0")
     assert read(tmp_path, named).surfaces[0].glass.at(587.5618) == pytest.approx(1.62004, abs=1e-5)
-    # An older glass has the index that a file states, or else its successor's.
     old = named.replace("F2 0", "SK16 0").replace("1.5168 64.17", "1.6204 60.33")
     assert read(tmp_path, old).surfaces[0].glass.at(587.5618) == pytest.approx(1.6204, abs=1e-9)
-    successors = [(old.replace("1.6204 60.33", "1.5 40"), "lens.zmx", 1.62041)]
-    successors += [(CODEV.replace("516800.641700", "LAKN22_SCHOTT"), "lens.seq", 1.65113)]
-    for text, name, index in successors:
+    unstated, codev = old.replace("1.6204 60.33", "1.5 40"), CODEV.replace("516800.641700", "LAKN22_SCHOTT")
+    for text, name, index in [(unstated, "lens.zmx", 1.62041), (codev, "lens.seq", 1.65113)]:
         with pytest.warns(UserWarning, match="its successor N-"):
             assert read(tmp_path, text, name).surfaces[0].glass.at(587.5618) == pytest.approx(index, abs=1e-5)
     refuses("230 nm: it has an index from 299.5 to 2500 nm", Glass.from_plain("N-SF11").at, 230.0)
