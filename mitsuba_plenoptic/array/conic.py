@@ -76,10 +76,6 @@ class Conic(MicrolensShape):
         rise = rise * -excess_index(self.glass, LINE_D)
         return rise * x, rise * y
 
-    def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
-        return excess_index(self.glass, wavelength) / excess_index(self.glass, LINE_D)
-
     @property
     def power(self) -> float:
         """Power :math:`(n - 1) / R` at the vertex and the d line (587.6 nm), in 1/mm."""

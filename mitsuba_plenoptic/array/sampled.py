@@ -59,10 +59,6 @@ class Sampled(MicrolensShape):
         along, across = self._grid.slopes(x, y)
         return along * excess_index(self.glass, LINE_D), across * excess_index(self.glass, LINE_D)
 
-    def strength(self, wavelength: float) -> float:
-        """Return the slopes at a wavelength divided by those at the d line; see `MicrolensShape.strength`."""
-        return excess_index(self.glass, wavelength) / excess_index(self.glass, LINE_D)
-
     @cached_property
     def power(self) -> float:
         """Power, at the d line in 1/mm, of the paraboloid of revolution that best fits the heights."""

@@ -33,6 +33,7 @@ class MicrolensShape(PlainData, ABC):
 
     form: ClassVar[str]
     kinds: ClassVar[dict[str, type[MicrolensShape]]] = {}
+    glass: Any
     is_parabolic: ClassVar[bool] = False
     """Whether the phase is a parabola, whose diffraction orders have a closed form, and which may turn slopes."""
 
@@ -63,9 +64,9 @@ class MicrolensShape(PlainData, ABC):
         the first diffraction order.
         """
 
-    @abstractmethod
     def strength(self, wavelength: float) -> float:
         """Return the slopes at a wavelength divided by the slopes at the d line (587.6 nm)."""
+        return excess_index(self.glass, wavelength) / excess_index(self.glass, LINE_D)
 
     @property
     @abstractmethod

@@ -47,13 +47,17 @@ _place = partial(require_number, minimum=-LONGEST, maximum=LONGEST)
 _angle = partial(require_number, minimum=-FULL_TURN, maximum=FULL_TURN)
 
 _Glass = Glass | str | float | dict[str, Any]
+_Numbers = Parameter[Sequence[float], tuple[float, ...]]
+_Length = Parameter[float | None, float]
+_Number = Parameter[float, float]
+_Word = Parameter[str, str]
 
 
 @record
 class CoreParameters:
     """The table of the core's parameters."""
 
-    focal_length: Parameter[float | None, float] = Parameter(
+    focal_length: _Length = Parameter(
         default=None,
         check=require_length,
         words="Focal length :math:`f_1` of the main lens.",
@@ -62,7 +66,7 @@ class CoreParameters:
         gradients=Captures.ALL & ~Captures.EDGES,
         in_all_files=True,
     )
-    aperture_radius: Parameter[float | None, float] = Parameter(
+    aperture_radius: _Length = Parameter(
         default=None,
         check=require_length,
         words=(
@@ -101,7 +105,7 @@ class CoreParameters:
         otherwise="a round aperture",
         fit=require_alone,
     )
-    pupil_apodisation: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    pupil_apodisation: _Numbers = Parameter(
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=-MOST_APODISATION, maximum=MOST_APODISATION),
         words=(
@@ -115,7 +119,7 @@ class CoreParameters:
         parts=("a2", "a4"),
         fit=require_alone,
     )
-    mla_distance: Parameter[float | None, float] = Parameter(
+    mla_distance: _Length = Parameter(
         default=None,
         check=require_length,
         words=(
@@ -127,7 +131,7 @@ class CoreParameters:
         gradients=Captures.ALL,
         in_all_files=True,
     )
-    focus_distance: Parameter[float | None, float] = Parameter(
+    focus_distance: _Length = Parameter(
         default=None,
         check=partial(require_length, finite=False),
         words=(
@@ -175,7 +179,7 @@ class CoreParameters:
         alias="mla_pitch",
         of_array=True,
     )
-    mla_lattice: Parameter[str, str] = Parameter(
+    mla_lattice: _Word = Parameter(
         default="square",
         check=partial(require_choice, choices=ChainMap[str, Any]({NO_LATTICE: None}, LATTICES)),
         words=(
@@ -187,7 +191,7 @@ class CoreParameters:
         form=Form.WORD,
         takes='{"square", "hexagonal", "none"}',
     )
-    mla_rotation: Parameter[float, float] = Parameter(
+    mla_rotation: _Number = Parameter(
         default=0.0,
         check=_angle,
         words=(
@@ -210,7 +214,7 @@ class CoreParameters:
         scale=lambda camera: min(camera.mla_pitches),
         of_array=True,
     )
-    mla_tilt: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    mla_tilt: _Numbers = Parameter(
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=-STEEPEST_TILT, maximum=STEEPEST_TILT),
         words=(
@@ -222,7 +226,7 @@ class CoreParameters:
         parts=("tilt_x", "tilt_y"),
         of_array=True,
     )
-    mla_aperture: Parameter[str, str] = Parameter(
+    mla_aperture: _Word = Parameter(
         default="cell",
         check=partial(require_choice, choices=APERTURES),
         words=(
@@ -233,7 +237,7 @@ class CoreParameters:
         takes='{"cell", "circle"}',
         of_array=True,
     )
-    mla_fill: Parameter[float, float] = Parameter(
+    mla_fill: _Number = Parameter(
         default=1.0,
         # The thinnest line would let no light through.
         check=partial(require_number, positive=True, minimum=1e-3, maximum=1),
@@ -266,7 +270,7 @@ class CoreParameters:
         otherwise="the same pupil for all lenses",
         of_array=True,
     )
-    mla_medium: Parameter[float, float] = Parameter(
+    mla_medium: _Number = Parameter(
         default=1.0,
         check=partial(require_number, minimum=1, maximum=4),
         words=(
@@ -277,7 +281,7 @@ class CoreParameters:
         scale=one,
         of_array=True,
     )
-    mla_absorption: Parameter[float, float] = Parameter(
+    mla_absorption: _Number = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0),
         words=(
@@ -299,7 +303,7 @@ class CoreParameters:
         otherwise="a parabolic phase of the focal length",
         of_array=True,
     )
-    detector_distance: Parameter[float | None, float] = Parameter(
+    detector_distance: _Length = Parameter(
         default=None,
         check=require_length,
         words="Distance :math:`z` from the MLA to the detector.",
@@ -309,7 +313,7 @@ class CoreParameters:
         in_all_files=True,
         of_array=True,
     )
-    detector_width: Parameter[float, float] = Parameter(
+    detector_width: _Number = Parameter(
         default=8.192,
         check=require_length,
         words="Width :math:`W` that the columns of the full detector span, cropped or not; pixels are square.",
@@ -339,7 +343,7 @@ class CoreParameters:
         otherwise="all from `crop_offset` on",
         in_all_files=True,
     )
-    lens_model: Parameter[str, str] = Parameter(
+    lens_model: _Word = Parameter(
         default="ideal",
         check=partial(require_choice, choices=("ideal", "parabolic")),
         words=(
@@ -351,7 +355,7 @@ class CoreParameters:
         takes='{"ideal", "parabolic"}',
         in_all_files=True,
     )
-    distortion: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    distortion: _Numbers = Parameter(
         default=(0.0,) * 5,
         check=partial(require_numbers, count=5, minimum=-1.0, maximum=1.0),
         words=(
@@ -365,7 +369,7 @@ class CoreParameters:
         unit=("mm^-2", "mm^-4", "mm^-6", "mm^-1", "mm^-1"),
         parts=("k1", "k2", "k3", "p1", "p2"),
     )
-    wavefront: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    wavefront: _Numbers = Parameter(
         default=(),
         check=partial(
             require_numbers,
@@ -397,7 +401,7 @@ class CoreParameters:
         form=Form.SCREEN,
         otherwise="none",
     )
-    mla_jitter: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    mla_jitter: _Numbers = Parameter(
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
@@ -408,7 +412,7 @@ class CoreParameters:
         form=Form.PLACE,
         of_array=True,
     )
-    mla_warp: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    mla_warp: _Numbers = Parameter(
         default=(),
         check=require_warp,
         words=(
@@ -422,7 +426,7 @@ class CoreParameters:
         otherwise="a regular array",
         of_array=True,
     )
-    mla_figure_error: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    mla_figure_error: _Numbers = Parameter(
         default=(0.0, 0.0),
         check=partial(require_numbers, count=2, minimum=0.0),
         words=(
@@ -440,7 +444,7 @@ class CoreParameters:
         form=Form.COUNT,
         of_array=True,
     )
-    mla_cra: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    mla_cra: _Numbers = Parameter(
         default=(),
         check=partial(
             require_pairs,
@@ -460,7 +464,7 @@ class CoreParameters:
         otherwise="no shift",
         of_array=True,
     )
-    detector_blur: Parameter[float, float] = Parameter(
+    detector_blur: _Number = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0, maximum=1),
         words=(
@@ -469,7 +473,7 @@ class CoreParameters:
         ),
         unit="mm",
     )
-    pixel_crosstalk: Parameter[float, float] = Parameter(
+    pixel_crosstalk: _Number = Parameter(
         default=0.0,
         check=partial(require_number, minimum=0, maximum=0.25),
         words=(
@@ -495,7 +499,7 @@ class CoreParameters:
         otherwise="the mean over all recorded pixels",
         unit="mm",
     )
-    pixel_response: Parameter[Sequence[float], tuple[float, ...]] = Parameter(
+    pixel_response: _Numbers = Parameter(
         default=(),
         check=partial(require_pairs, meaning="an angle in degrees and a response", rising="angles", most=(90.0, 1.0)),
         words=(

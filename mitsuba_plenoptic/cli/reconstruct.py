@@ -157,6 +157,8 @@ def reconstruct(
         rows, columns = result.image.shape[:2]
         where = "rad at infinity" if math.isinf(result.distance) else f"mm at {result.distance:g} mm"
         typer.echo(f"{path}: {columns} x {rows} bins of {result.bin_size:.4g} {where}{_described(result.facts)}")
+    if any(result.facts.get("residual", 0) > 0.25 and not result.facts["stopped_by_noise"] for result in results):
+        typer.echo("much of the capture is left: planes that hold the light may be missing")
 
 
 def sheet(
@@ -239,8 +241,6 @@ def _described(facts: dict[str, Any]) -> str:
         return f"; outside the range of refocusing, {facts['samples_per_lens']:.2g} samples per lens"
     ended = "stopped by the noise" if facts["stopped_by_noise"] else "as many as were to be made"
     near = "; in focus, where finer bins add little" if facts["in_focus"] else ""
-    if facts["residual"] > 0.25 and not facts["stopped_by_noise"]:
-        near += "; planes that hold the light may be missing"
     return (
         f"; {facts['iterations']} iterations, {ended}, {facts['residual']:.2%} of the capture left; resolution limit "
         f"{facts['resolution_limit']:.3g} line pairs/mm{near}"

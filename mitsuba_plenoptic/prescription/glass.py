@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import functools
 import importlib
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -21,6 +23,7 @@ from ..errors import (
     require_number,
     require_wavelength,
     short_repr,
+    warn,
 )
 from . import lenses
 
@@ -189,11 +192,7 @@ class Glass:
         require_known(f"{where}: ", forms, (*_COUNTS, "name"))
         refuse_if(
             not isinstance(name, str)
-            or set(forms)
-            not in (
-                *({form} for form in _COUNTS if form != "abbe"),
-                {"index", "abbe"},
-            ),
+            or set(forms) not in (*({form} for form in _COUNTS if form != "abbe"), {"index", "abbe"}),
             f"{where} = {short_repr(value)}: it must have index, index and abbe, sellmeier, schott or "
             "table, and may have name",
         )
@@ -215,13 +214,14 @@ class Glass:
 
 
 def catalogue_glass(
-    name: str, where: str = "glass", makers: Sequence[str] | None = None, *, with_hyphens: bool = True
+    name: str, where: str = "glass", makers: Sequence[str] | None = None, with_hyphens: bool = True, stated: Any = None
 ) -> Glass:
     """Return a glass by its name in a maker's catalogue, as a table independent of the catalogue.
 
     The usual glasses of SCHOTT, by the Sellmeier coefficients of its data sheets, and fused silica (Malitson, J. Opt.
     Soc. Am. 55, 1205 (1965)) are in a table of the package. Further catalogues are those of refractiveindex.info
-    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals.
+    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals; for an older one of
+    SCHOTT, such as SK16, stands the glass `stated` or, with a warning, the successor N-SK16.
     """
     maker, _, glass = name.rpartition(":")
     if maker:
@@ -229,26 +229,32 @@ def catalogue_glass(
     hyphen = "-" if with_hyphens else ""
     plain = glass.lower().replace("-", hyphen)
     text = (resources.files(lenses) / "glasses.csv").read_text(encoding="utf-8")
-    for known, by, *numbers in csv.reader(text.splitlines()):
+    rows = {row[0].lower().replace("-", hyphen): row for row in csv.reader(text.splitlines())}
+    successor = None
+    if row := rows.get(plain, rows.get(f"n{hyphen}{re.sub(r'n(?=[0-9])', '', plain)}")):
+        known, by, *numbers = row
         # Other makers have glasses of SCHOTT's older names, without N, too.
         unique = not by or known.startswith("N-")
         searched = [by] * unique if makers is None else makers[: None if unique else 1]
-        if plain == known.lower().replace("-", hyphen) and any(by in maker.upper() for maker in searched):
-            return Glass("sellmeier", tuple(map(float, numbers)), name)
-    with refusing(
-        f"{where} = {short_repr(name)}: it is not among the glasses included, and others by name need Optiland; "
-        "pip install 'mitsuba-plenoptic[lenses]', "
-        "or give index and abbe",
-        ImportError,
-    ):
+        if any(by in maker.upper() for maker in searched):
+            successor = Glass("sellmeier", tuple(map(float, numbers)), name if plain in rows else known)
+            if plain in rows:
+                return successor
+    catalogues: dict[str, _Entry] = {}
+    missing = f"{where} = {short_repr(name)}: others than those included need pip install 'mitsuba-plenoptic[lenses]'"
+    with contextlib.suppress(ImportError) if successor else refusing(missing, ImportError):
         importlib.import_module("optiland.materials")
-    catalogues = {entry.maker: entry for entry in _catalogued() if plain == entry.name.lower().replace("-", hyphen)}
+        catalogues = {entry.maker: entry for entry in _catalogued() if plain == entry.name.lower().replace("-", hyphen)}
     # Files of other programs write makers with what belongs to them, such as NIKON-HIKARI.
     chosen = list(catalogues)
     if makers is not None:
         chosen = [maker for written in makers for maker in catalogues if maker.lower() in written.lower()][:1]
     if len(chosen) > 1:
         raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{glass}")
+    if successor and not chosen:
+        if stated is None:
+            warn(f"{where} = {name}: its successor {successor.name}, of a little other index, stands for it")
+        return stated or successor
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"
         # The same name from other makers, who measured a crystal of that name, then longer names.

@@ -258,19 +258,22 @@ def _resolutions(
     if not camera.lens_data.converges:
         return [{} for _ in distances]
     longest = None if wavelength is None else float(np.max(wavelength))
-    ranges = design.depth_ranges(camera, longest)
+    near, far = design.refocus_range(camera, longest)
     facts = []
+    blurred = {}
     for distance in distances:
-        in_range = any(ends is not None and ends[0] <= distance <= ends[1] for ends in ranges)
+        in_range = near <= distance <= far
         samples = design.effective_resolution(camera, min(distance, LONGEST), longest).samples_per_lens
         facts.append({"in_range": in_range, "samples_per_lens": samples})
         # 0.5: below, images show hardly anything, which deconvolution alone may undo.
         if not chosen.as_it_is and not in_range and samples < 0.5:
-            near, far = design.refocus_range(camera, longest)
-            warn(
-                f"distance = {distance:g}: far outside the range of refocusing, {near:.4g} to {far:.4g} mm: "
-                f"{samples:.2g} samples per lens are resolved there"
-            )
+            blurred[f"{distance:g}"] = samples
+    if blurred:
+        by_waves = "" if longest is None else f" at {longest:g} nm"
+        warn(
+            f"distance = {', '.join(blurred)}: far outside the range of refocusing{by_waves}, {near:.4g} to {far:.4g} "
+            f"mm: at most {max(blurred.values()):.2g} samples per lens are resolved there"
+        )
     return facts
 
 

@@ -51,7 +51,7 @@ class Reconstruction(Displayed):
         Fractions of the light that the guards of the physics found lost, by their names.
     facts : dict
         The ``model`` of the capture's light and, but for objectives, whether the distance is ``in_range`` of refocusing
-        and the ``samples_per_lens`` resolved there (see `design.depth_ranges`, `design.effective_resolution`). Of
+        and the ``samples_per_lens`` resolved there (see `design.refocus_range`, `design.effective_resolution`). Of
         ``deconvolved`` also: the ``iterations`` made, the ``residual`` (root mean square of the unexplained part of
         the capture, over that of the capture), whether it was ``stopped_by_noise``, the
         ``resolution_limit`` in line pairs per scene unit (at infinity per unit of slope), and whether the plane is

@@ -14,7 +14,7 @@ from ..io import StageOptions
 from ..runtime import Array
 from .comparison_page import ANSWER, write_report
 from .edge import square_sharpness
-from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, Settings, open_store, run_experiment
+from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, RefocusMethod, Settings, open_store, run_experiment
 from .images import Brightness, luminance
 from .metrics import (
     ContrastChange,
@@ -297,22 +297,27 @@ def draw_comparison(
 
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw every method at every distance next to the thin lens, with a note under each, in rows of four."""
-    # With more panels in a row, text could not be read where the figure is shown as wide as a page.
-    across = 4
-    names = ["truth", *(method.name for method in experiment.settings.methods)]
+    """Draw the thin lens, then a row for each method, of both captures at up to two distances, with notes."""
+    rows: dict[str, dict[str, RefocusMethod]] = {"": {"ray": RefocusMethod("truth", METHOD_TITLES["truth"], {})}}
+    for method in experiment.settings.methods:
+        rows.setdefault(str(method.options), {})[method.source] = method
+    # With more than four panels in a row, text could not be read where the figure is shown as wide as a page.
     distances = experiment.settings.distances
+    together = min(len(distances), 2)
     window = lit_window(list(experiment.truths.values()))
     peak = Brightness().peak([window.of(experiment.truths[distance]) for distance in distances])
-    lines = math.ceil(len(names) / across)
-    plot = Plot(10.0)
-    panels = plot.panels(len(distances) * lines, across, window.aspect)
-    for rows, distance in zip(panels.reshape(len(distances), -1), distances, strict=True):
-        for index, (axes, name) in enumerate(zip(rows, names, strict=False)):
-            image = window.of(experiment.image(name, distance))
-            side = "" if index % across else distance_text(distance)
-            show(axes, image, METHOD_TITLES[name], peak=peak, side=side, foot=notes.get((name, distance), ""))
-            object_bar(axes, experiment.camera, distance, window)
+    plot = Plot(5.0 * together)
+    panels = plot.panels(math.ceil(len(distances) / together) * len(rows), 2 * together, window.aspect)
+    for index, distance in enumerate(distances):
+        block, column = divmod(index, together)
+        for line, row in enumerate(rows.values()):
+            for source, method in row.items():
+                axes = panels[block * len(rows) + line, 2 * column + (source == "wave")]
+                title = f"{source} capture" * (line == 1) if line else distance_text(distance)
+                side = row.get("wave", method).title * (not column and source == next(iter(row)))
+                image = window.of(experiment.image(method.name, distance))
+                show(axes, image, title, peak=peak, side=side, foot=notes.get((method.name, distance), ""))
+                object_bar(axes, experiment.camera, distance, window)
     plot.save_both(path, experiment.settings.pdf)
 
 

@@ -22,6 +22,8 @@ from .backend import free_device_memory
 
 GIB = 2**30
 
+_Fits = Callable[[float], str | None] | None
+
 VARIABLE = "MITSUBA_PLENOPTIC_MEMORY"
 """Environment variable that sets the limit, in GiB."""
 
@@ -58,14 +60,12 @@ def work_limit(needed: float) -> float:
     return min(_FRACTION * free, memory_limit() if VARIABLE in os.environ else math.inf)
 
 
-def require_memory(needed: float, work: str, fits: Callable[[float], str | None] | None = None) -> None:
+def require_memory(needed: float, work: str, fits: _Fits = None) -> None:
     """Refuse work that needs more of the machine's memory than is allowed."""
     _require(needed, work, fits, memory_limit(), "memory")
 
 
-def check_memory(
-    needed: float, work: str, fits: Callable[[float], str | None] | None = None, *, most: float | None = None
-) -> None:
+def check_memory(needed: float, work: str, fits: _Fits = None, *, most: float | None = None) -> None:
     """Refuse work that needs more than `most` bytes, or than `work_limit` allows where the active variant computes.
 
     By default `most` is `MEMORY_LIMIT`.
@@ -75,7 +75,7 @@ def check_memory(
     _require(needed, work, fits, min(most, work_limit(needed)), name)
 
 
-def _require(needed: float, work: str, fits: Callable[[float], str | None] | None, limit: float, name: str) -> None:
+def _require(needed: float, work: str, fits: _Fits, limit: float, name: str) -> None:
     """Refuse work that needs more than `limit` bytes of a memory of this name."""
     for sizes in _memory_requests:
         sizes.append(needed)

@@ -88,12 +88,9 @@ def open_light_field(
         return decode(capture, camera=camera, white=by, truth=ground_truth)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
-    if of_extension := format_of(key, "light field", str(path)):
+    if (of_extension := format_of(key, "light field", str(path))) or name.endswith((".nc", ".zarr")):
         _refuse(path, white=white, views=views, camera=None if camera is None else "given")
-        return place(*of_extension)(path)
-    if name.endswith((".nc", ".zarr")):
-        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
-        return read_labelled(path)
+        return place(*of_extension)(path) if of_extension else read_labelled(path)
     if name.endswith(RAW_SUFFIXES):
         picture = read_numbers(path) if camera is None and white is None else None
         stated = picture and stated_mosaic(picture)

@@ -53,10 +53,10 @@ class WaveAccuracy:
     function_samples: int = 192  # samples across a lens for the Fourier coefficients of its functions
     spectrum_samples: int = 256  # the same for polynomials where rays land by their own points
     higher_degrees: int = 4  # combined degrees above that whose polynomials are as many as the functions
-    coarse_points: int = 48  # points across an aperture for which the functions are the best
+    coarse_points: int = 48  # points across an aperture for which functions and oblique kernels are the best
     coarse_lags: int = 16  # lags on either side, at most, for which they are the best
-    # Samples across an aperture for these lags, and for the changes of kernels with the direction of light; other
-    # kernels have twice `pitch_lags` across the pitch.
+    # Samples across an aperture for the changes of kernels with the direction of light; other kernels have twice
+    # `pitch_lags` across the pitch.
     coarse_samples: int = 96
     missing_functions: float = 0.75  # part that may be missing for want of functions, over the tolerance
     # Lags per pitch of lenses' transfer functions; the phases of twice as many points differ by a tenth of a period.

@@ -24,15 +24,7 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import (
-    Doubles,
-    Floats,
-    Integers,
-    exponents,
-    fft,
-    on_all_cores,
-    single_threaded_blas,
-)
+from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -54,16 +46,9 @@ def lens_functions(waves: LensWaves, degree: int, tolerance: float, lands_by_poi
     u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points))
     # Two directions stand for all rays, with their mean square along each axis; opposite ones have mirror images.
     along, across = np.sqrt(2 * np.mean(np.square(waves.cosines()), axis=0)).tolist()
-    images = np.concatenate(
-        [
-            _images(waves, polynomials, kind, polynomials.functions, cosines)
-            for kind in waves.types
-            for cosines in ((along, 0.0), (0.0, across))
-        ],
-        axis=1,
-    )
+    images = _images(waves, polynomials, polynomials.functions, np.diag([along, across]))
     allowed = USUAL.missing_functions * tolerance
-    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), images)
+    return polynomials.best(len(exponents(degree)), allowed, (u[inside], v[inside]), np.concatenate([*images], 1))
 
 
 @single_threaded_blas()
@@ -71,24 +56,22 @@ def oblique_kernels(waves: LensWaves, functions: LensFunctions, degree: int, tol
     """Return combinations of the changes of kernels with the direction of light; see `lens_functions`."""
     cosines = waves.cosines()
     largest = float(np.hypot(*cosines.T).max())
-    # Small apertures fall between the points of a grid that is as fine for all.
-    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points))
     # Kernels of steep light change with its direction as polynomials of degree 4.
     edge = max(waves.lattice.aperture_reach / kind.distance for kind in waves.kinds)
     is_steep = bool(largest + edge > USUAL.steep)
-    images = [
-        np.concatenate([_images(waves, functions, kind, functions.duals, (a, b)) for kind in waves.types], axis=1)
-        for a, b in directions(4 if is_steep else 2) * largest
-    ]
+    images = _images(waves, functions, functions.duals, directions(4 if is_steep else 2) * largest)
+    # Small apertures fall between the points of a grid that is as fine for all.
+    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
     light = functions.light(u[inside], v[inside])
     allowed = USUAL.missing_oblique[is_steep] * tolerance
     most = USUAL.most_oblique * len(exponents(degree))
-    return Oblique.best(largest, cosines / largest, np.stack(images), light, functions.odd, allowed, most)
+    return Oblique.best(largest, cosines / largest, images, light, functions.odd, allowed, most)
 
 
+@single_threaded_blas()
 def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Oblique) -> Doubles:
     """Return the covariance of the values of an image's rays, for light with random edges from all directions."""
-    u, v, inside = waves.aperture_grid(USUAL.coarse_points // 2)
+    u, v, inside = waves.aperture_grid(waves.samples_of(USUAL.coarse_points // 2))
     light = functions.light(u[inside], v[inside])
     across, up = waves.cosines().T / oblique.largest
     expected = np.transpose(terms(across, up, oblique.degree))
@@ -97,39 +80,40 @@ def covariance_of_values(waves: LensWaves, functions: LensFunctions, oblique: Ob
     return np.einsum("sin,nm,sjm->ij", both, light, both, optimize=True) / len(expected)
 
 
-def _images(
-    waves: LensWaves,
-    polynomials: LensFunctions,
-    kind: Kind,
-    coefficients: Doubles,
-    cosines: tuple[float, float] = (0.0, 0.0),
-) -> Doubles:
-    """Return the spectra (n, values) of kernels, as pixels record them, for combinations of polynomials."""
-    scale = in_millimetres(waves.wavelength) * kind.distance
-    fine = waves.lattice.pitches[0] / USUAL.pitch_lags
-    farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * waves.camera.pixel_size * fine)))
-    count = USUAL.coarse_lags
-    step = fine * max(1, farthest // count)
-    if count * step <= waves.lattice.aperture_width:
-        # Half as many are close enough for the aperture, and for the period of kernels.
-        count //= 2
-        step *= 1 + (farthest > count)
-    weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
-    transfer = _transfer(
-        waves, count, step, waves.samples_of(USUAL.coarse_samples), kind, polynomials, coefficients, cosines
-    )
-    spectra = transfer * (weights[:, None] * weights)
-    return np.concatenate([spectra.real, spectra.imag], axis=1).reshape(len(spectra), -1)
+def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles, cosines: Doubles) -> Doubles:
+    """Return the spectra (directions, n, values) of kernels, as pixels record them, for combinations of polynomials."""
+    spectra = []
+    turned = waves.camera.microlens.is_parabolic and len(waves.types) == 1
+    signs = (-1.0) ** np.sum(polynomials.odd, axis=1)[:, None, None]
+    for kind in waves.types:
+        scale = in_millimetres(waves.wavelength) * kind.distance
+        fine = waves.lattice.pitches[0] / USUAL.pitch_lags
+        farthest = min(2 * USUAL.pitch_lags, int(scale / (2 * waves.camera.pixel_size * fine)))
+        count = USUAL.coarse_lags
+        step = fine * max(1, farthest // count)
+        if count * step <= waves.lattice.aperture_width:
+            # Half as many are close enough for the aperture, and for the period of kernels.
+            count //= 2
+            step *= 1 + (farthest > count)
+        weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
+        transfers: list[Any] = []
+        for direction in cosines:
+            # Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the
+            # signs of odd functions.
+            before = zip(transfers, cosines if turned else [], strict=False)
+            if opposite := [transfer for transfer, earlier in before if np.allclose(earlier, -direction)]:
+                transfers.append(opposite[0].conj() * signs)
+            else:
+                options = polynomials, coefficients, direction
+                transfers.append(_transfer(waves, count, step, waves.samples_of(USUAL.coarse_points), kind, *options))
+        of_kind = np.stack(transfers) * (weights[:, None] * weights)
+        spectra += [values.reshape(*of_kind.shape[:2], -1) for values in (of_kind.real, of_kind.imag)]
+    return np.concatenate(spectra, axis=2)
 
 
 @single_threaded_blas()
 def sampled_kernels(
-    waves: LensWaves,
-    functions: LensFunctions,
-    oblique: Oblique,
-    step: float,
-    samples: tuple[int, int, int],
-    kind: Kind,
+    waves: LensWaves, functions: LensFunctions, oblique: Oblique, step: float, samples: tuple[int, int, int], kind: Kind
 ) -> Doubles:
     """Return kernels (n, k, k) on a grid of width `step`, times the area of a grid cell, with a given sampling.
 

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..camera import PlenopticCamera, shortest_parts, with_parts
-from ..runtime import Array, Doubles, on_all_cores
+from ..runtime import Doubles, Floats, on_all_cores
 from .phase_space import PhaseSpace, Table
 
 OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -54,21 +54,13 @@ class ExpandedPlan(PhaseSpace):
         """Return the plan of a camera near that of `plan`, cached for further captures."""
         return ExpandedPlan.of(camera, plan.wavelength, plan.accuracy, basis=plan)
 
-    def tabulated(self, table: Table | None = None) -> Sequence[Array]:
-        """Return the arrays of the table of coefficients, or fill a given table."""
-        arrays = [np.empty(shape, np.float32) for shape in self.shapes] if table is None else table
+    def tabulated(self) -> list[Floats]:
+        """Return the arrays of the table of coefficients."""
         start = self.start.camera
         camera = self.camera
         ratio = camera.mla_distance / start.mla_distance * start.mla_pitches[0] / camera.mla_pitches[0]
         change = np.float32(math.log(ratio))
-        rows = zip(arrays, *_tables(self.start), strict=True)
-
-        def fill(row: tuple[Array, Array, Array]) -> None:
-            into, value, slope = row
-            into[...] = value + change * slope
-
-        on_all_cores(fill, list(rows))
-        return arrays
+        return on_all_cores(lambda row: row[0] + change * row[1], zip(*_tables(self.start), strict=True))
 
     def kernels(self, step: float, reach: float, kind: int = 0) -> Doubles:
         """Return the kernels of one kind of lenses, with the sampling of those about which they are expanded."""
@@ -98,11 +90,8 @@ class ExpandedPlan(PhaseSpace):
 
 
 @functools.lru_cache(maxsize=4)
-def _tables(plan: PhaseSpace) -> tuple[Sequence[Array], list[Array]]:
-    """Return a plan's table, and its derivatives by the logarithm of the pupil's diffraction width.
-
-    Both are in single precision.
-    """
+def _tables(plan: PhaseSpace) -> tuple[list[Floats], list[Floats]]:
+    """Return a plan's table, and its derivatives by the logarithm of the pupil's diffraction width."""
     distance = plan.camera.mla_distance
     sides = [
         plan.moved(plan.camera.replace(mla_distance=distance * (1 + side))).tabulated()
@@ -115,8 +104,7 @@ def _tables(plan: PhaseSpace) -> tuple[Sequence[Array], list[Array]]:
 def width_slopes(start: PhaseSpace) -> Table:
     """Return the table of derivatives of a plan's coefficients by the logarithm of the pupil's diffraction width."""
     table = Table(start.shapes)
-    for rows, slopes in zip(table, _tables(start)[1], strict=True):
-        rows[...] = slopes
+    table.fill(_tables(start)[1])
     return table
 
 

@@ -67,8 +67,8 @@ class LensFunctions:
     def polynomials(cls, u: Doubles, v: Doubles, degree: int, scale: float) -> LensFunctions:
         """Return polynomials that are orthonormal over an aperture of points u and v, by Gram-Schmidt."""
         powers = exponents(degree)
-        terms = np.stack(monomials(u / scale, v / scale, powers), -1)
-        triangle = np.linalg.inv(np.linalg.cholesky(terms.T @ terms / len(terms))).T
+        terms = np.stack(monomials(u / scale, v / scale, powers))
+        triangle = np.linalg.inv(np.linalg.cholesky(terms @ terms.T / len(u))).T
         unit = np.eye(len(powers))
         return cls(scale, powers, triangle, unit, unit, [(i % 2 == 1, j % 2 == 1) for i, j in powers])
 
@@ -95,9 +95,11 @@ class LensFunctions:
         Parameters are points u and v that fill the aperture evenly, and images (polynomials, values): the integrals of
         the polynomials with K, in an orthonormal basis of the detector.
         """
-        expected = _differing(self.values(*points, np.eye(len(self.odd))).T, *points, self.scale)
-        products = images @ images.T
         odd = np.array(self.odd)
+        expected = _differing(self.values(*points, np.eye(len(self.odd))).T, *points, self.scale)
+        # Rounding would mix functions of different symmetry.
+        expected *= (odd == odd[:, None]).all(-1)
+        products = images @ images.T
         candidates = []
         for parity in ((False, False), (True, False), (False, True), (True, True)):
             (alike,) = np.nonzero((odd == parity).all(1) & (np.arange(len(odd)) > 0))
@@ -214,13 +216,15 @@ def edge_covariance(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Do
     return _covariance(_differing(values, u, v, scale))
 
 
-def _differing(values: Doubles, u: Doubles, v: Doubles, scale: float) -> Doubles:
+def _differing(values: Any, u: Any, v: Any, scale: float) -> Doubles:
     """Return the covariance of functions' integrals over light with random edges, less the mean."""
-    values = values - values.mean(0)
+    values = (values - values.mean(0)).astype(np.float32)
+    u, v = (np.asarray(coordinate, np.float32) for coordinate in (u, v))
 
-    def of_some(rows: slice) -> Doubles:
-        apart = np.sqrt(np.square(u[rows, None] - u) + np.square(v[rows, None] - v))
-        return values[rows].T @ (apart @ values)
+    def of_some(rows: slice) -> Any:
+        apart = np.square(u[rows, None] - u)
+        apart += np.square(v[rows, None] - v)
+        return values[rows].T @ (np.sqrt(apart, out=apart) @ values)
 
     # 128: Points of a lens whose distances from all others are computed at a time, so that these fit into a cache.
     parts = on_all_cores(of_some, [slice(row, row + 128) for row in range(0, len(u), 128)])

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera
-from ..rays import CHIEF, Ray, Walk, chances_of, low_discrepancy
+from ..rays import CHIEF, Ray, Walk
 from ..runtime import Doubles, Pair
 from .fitted_pupil import CLOSED
 from .pupil_diffraction import PupilDiffraction
@@ -68,8 +68,7 @@ class PupilSampler(DetectorGrid):
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
         lenses, index = self.cells(self.lenses(pixels).at(pixel), pixel, cell)
-        lane = dr.gather(mi.UInt32, pixels.number, pixel)
-        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 6)
+        _, random, chance = self.numbers(pixels, pixel, ray_index, seed, 6)
         if self._plan.is_coarse:
             x, y = self._displacement(random[4:])
             aside = (random[2] - 0.5) * self._step - x, (random[3] - 0.5) * self._step - y
@@ -82,7 +81,6 @@ class PupilSampler(DetectorGrid):
         round_pupil = self.walk.round_pupil(pupil, start)
         valid = dr.square(round_pupil[0]) + dr.square(round_pupil[1]) <= self._camera.pupil_radius**2
         ray = Ray(start, start, pupil, dr.ones(mi.Float, dr.width(pixel)), valid)
-        chance = chances_of(lane, seed ^ (ray_index << 4))
         lenses = lenses._replace(height=0.0)
         return RaySamples(ray, round_pupil, start, lenses, chance, pixel, index, ray_index)
 

@@ -143,6 +143,12 @@ class DetectorGrid:
         )
         return lenses._replace(position=(x, y)), pixel * dr.opaque(mi.UInt32, self._parts**2) + cell
 
+    def numbers(self, pixels: Pixels, pixel: Any, ray_index: Any, seed: Any, count: int) -> tuple[Any, Any, Any]:
+        """Return keys of pixels, and random numbers and chances of rays; even and odd rays' are independent."""
+        lane = dr.gather(mi.UInt32, pixels.number, pixel)
+        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, count)
+        return lane, random, chances_of(lane, seed ^ (ray_index << 4))
+
 
 class LensSampler(DetectorGrid):
     """Sampler of the rays of a camera's detector cells.
@@ -225,14 +231,18 @@ class LensSampler(DetectorGrid):
         lens = self.walk.lenslet(i, j)
         return CellLenses((x, y), lens.centre, lens.height, self.kinds.number(i, j, lens.height), lens.gain)
 
-    def seen(self, detector: Pair, lenses: CellLenses) -> Pair:
-        """Return the pupil points whose light lands on detector points, as a mean over a lens."""
+    def seen(self, detector: Pair, lenses: CellLenses, point: Pair | None = None) -> Pair:
+        """Return the pupil points whose light lands on detector points, as a mean over a lens or from its points."""
         centre = lenses.centre
         offset = self._chief(detector, lenses)
         # The points where light would land through the centres of the lenses are rounded as positions are.
         back = tuple(c - (c + step) for c, step in zip(centre, offset, strict=True))
         slopes, _ = self.walk.through_centre(back, lenses.height)
-        return tuple(self.walk.lens.pupil.point(c, t, lenses.height) for c, t in zip(centre, slopes, strict=True))
+        pupil = tuple(self.walk.lens.pupil.point(c, t, lenses.height) for c, t in zip(centre, slopes, strict=True))
+        if point is None or not self.lands_by_point:
+            return pupil
+        growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
+        return tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
 
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of pupil and lenses, and response of pixels."""
@@ -241,10 +251,7 @@ class LensSampler(DetectorGrid):
 
     def through(self, position: Pair, point: Pair, lenses: CellLenses) -> RaySamples:
         """Return rays from detector points to what these see of the pupil, through points of lenses."""
-        pupil = self.seen(position, lenses)
-        if self.lands_by_point:
-            growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
-            pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
+        pupil = self.seen(position, lenses, point)
         passed = tuple(c + m for c, m in zip(lenses.centre, point, strict=True))
         ray = Ray(position, passed, pupil, mi.Float(1), mi.Bool(True))
         return RaySamples(ray, self.walk.round_pupil(pupil, lenses.centre), point, lenses, 4 * (None,), 0, 0, 0)
@@ -300,12 +307,9 @@ class LensSampler(DetectorGrid):
         """
         lenses, index = self.cells(self.lenses(pixels).at(pixel), pixel, cell)
         lattice = self._lattice
-        lane = dr.gather(mi.UInt32, pixels.number, pixel)
-        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 4)
-        chance = chances_of(lane, seed ^ (ray_index << 4))
+        lane, random, chance = self.numbers(pixels, pixel, ray_index, seed, 4)
         within = [r - 0.5 if self.lands_by_point else tent(r) for r in random[2:]]
         x, y = (p + r * self._cell for p, r in zip(lenses.position, within, strict=True))
-        pupil = self.seen((x, y), lenses)
         if self.lands_by_point:
             # Diffraction at the whole pupil displaces light on the array by the Airy pattern.
             first, second = (mi.sample_tea_float32(lane, seed ^ (ray_index << 4) ^ word) for word in (11, 12))
@@ -317,10 +321,10 @@ class LensSampler(DetectorGrid):
             point = lattice.aperture_point(*random[:2])
             aside = (radius * cosine, radius * sine)
             weight = dr.ones(mi.Float, dr.width(ray_index))
-            growth = dr.gather(mi.Float, self._pupil_shifts, lenses.kind)
-            pupil = tuple(P + growth * m for P, m in zip(pupil, point, strict=True))
+            pupil = self.seen((x, y), lenses, point)
             round_pupil = self.walk.round_pupil(pupil, lenses.centre)
         else:
+            pupil = self.seen((x, y), lenses)
             round_pupil = self.walk.round_pupil(pupil, lenses.centre)
             aside = (0.0, 0.0)
             point, weight = self._points.draw(round_pupil, chance, random[:2])
@@ -426,21 +430,22 @@ class LensPoints:
 @functools.lru_cache(maxsize=8)
 def _edges(plan: PhaseSpace) -> list[Floats]:
     """Return the two edges of each strip of all nodes, and of each cell, in widths of the windows, as flat arrays."""
-    divisions = [divided(density_of(values)) for nodes in plan.table for values in nodes[..., 0]]
+    divisions = [divided(density) for nodes in plan.table for density in densities_of(nodes[..., 0])]
     edges = (np.array(of_axis, np.float32) - np.float32(0.5) for of_axis in zip(*divisions, strict=True))
     # A ray reads both edges at once.
     return [np.stack([of_axis[..., :-1], of_axis[..., 1:]], axis=-1).ravel() for of_axis in edges]
 
 
-def density_of(values: Floats) -> Doubles:
-    """Return the sampling density for samples of a coefficient, which may be negative."""
-    square = values.astype(np.float64) ** 2
+def densities_of(values: Floats) -> Doubles:
+    """Return the sampling densities over windows (n, rows, columns) of a coefficient, which may be negative."""
+    square = np.square(values, dtype=np.float32)
     # Between samples a ray takes one of the nearest ones.
-    for axis in (0, 1):
-        square = (np.roll(square, 1, axis) + 2 * square + np.roll(square, -1, axis)) / 4
+    for axis in (1, 2):
+        pairs = square + np.roll(square, 1, axis)
+        square = pairs + np.roll(pairs, -1, axis)
     root = np.sqrt(square)
     # 0.05: Part of the mean density that is added, as other coefficients may be nonzero where the first is 0.
-    return root + 0.05 * root.mean()
+    return (root + 0.05 * root.mean((1, 2), keepdims=True)).astype(np.float64)
 
 
 def divided(density: Doubles) -> tuple[Doubles, Doubles]:

@@ -124,12 +124,7 @@ class SignedCapture:
         return SignedRaySum
 
     def sums(
-        self,
-        spp: int,
-        seed: int,
-        runs: int,
-        kind: Callable[..., Sum],
-        light: Callable[..., list[Any]] | None = None,
+        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 

@@ -25,7 +25,7 @@ from ..design import lenses_in_stop, objective_of, pupil_growth
 from ..errors import refuse_if
 from ..fields import OpticalSystem, opaque_lattice
 from ..lenses import FourierLens, main_lens
-from ..rays import LensChoice, Passage, Ray, Walk, chances_of, deflects_cosines, low_discrepancy
+from ..rays import LensChoice, Passage, Ray, Walk, deflects_cosines
 from ..runtime import Array, Box, Doubles, Pair, drjit_array, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .lens_functions import LegendreProducts
@@ -240,8 +240,7 @@ class StopSampler(DetectorGrid):
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""
         lenses, index = self.cells(self.lenses(pixels).at(pixel), pixel, cell)
-        lane = dr.gather(mi.UInt32, pixels.number, pixel)
-        random = low_discrepancy(lane, seed ^ ((ray_index & 1) << 3), ray_index >> 1, 6)
+        _, random, chance = self.numbers(pixels, pixel, ray_index, seed, 6)
         # Sums of two numbers with the density of a B-spline of order 2.
         start = tuple(
             p + (tent(a) + tent(b)) * self._step
@@ -257,7 +256,6 @@ class StopSampler(DetectorGrid):
         ray = Ray(
             start, m, field, dr.ones(mi.Float, dr.width(pixel)), in_stop & emerges & (lens.field_inset(*field) >= 0)
         )
-        chance = chances_of(lane, seed ^ (ray_index << 4))
         return RaySamples(ray, aside, aside, lenses, chance, pixel, index, ray_index)
 
     def _lens(self, lenses: CellLenses) -> Any:

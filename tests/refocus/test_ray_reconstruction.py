@@ -101,14 +101,20 @@ def test_distances_outside_the_range_of_refocusing_are_told(wavelength):
     camera = PlenopticCamera(detector_width=0.128, resolution=(32, 32))
     image = np.ones((*camera.shape, 3) if isinstance(wavelength, tuple) else camera.shape)
     capture = Capture(image, camera, wavelength, "ray" if wavelength is None else "wave")
-    near, far = mp.design.refocus_range(camera, None if wavelength is None else np.max(wavelength))
+    longest = None if wavelength is None else np.max(wavelength)
+    near, far = mp.design.refocus_range(camera, longest)
     distances = [1.01 * near, 240.0, 0.99 * far, 1.01 * far, 5000.0, math.inf]
-    with pytest.warns(UserWarning, match=f"far outside the range of refocusing, {near:.4g} to {far:.4g}") as told:
+    at = "" if wavelength is None else " at 633 nm"
+    with pytest.warns(UserWarning, match=f"far outside the range of refocusing{at}, {near:.4g} to {far:.4g}") as told:
         facts = [result.facts for result in reconstruct(capture, distances)]
-    assert [str(warning.message).partition(":")[0] for warning in told] == ["distance = 5000", "distance = inf"]
+    assert [str(warning.message).partition(":")[0] for warning in told] == ["distance = 5000, inf"]
     assert [fact["in_range"] for fact in facts] == [True] * 3 + [False] * 3
     outside = [(1 / 240 - 1 / far) / (1 / 240 - 1 / distance) for distance in distances[4:]]
     assert [fact["samples_per_lens"] for fact in facts[4:]] == pytest.approx(outside, rel=1e-3)
+    # The range is the same quantity where lenses are sharp in a part of it.
+    focused = Capture(image, camera.replace(detector_distance=0.4), wavelength, capture.model)
+    ends = [(1 + step) * end for end in mp.design.refocus_range(focused.camera, longest) for step in (-1e-3, 1e-3)]
+    assert [result.facts["in_range"] for result in reconstruct(focused, ends)] == [False, True, True, False]
 
 
 def test_a_new_method_is_one_registered_function(monkeypatch):

@@ -114,12 +114,12 @@ def test_plans_of_many_cameras_keep_tables_of_bounded_size(monkeypatch):
     """As those of the steps of a fit, of which other caches keep the plans."""
     made = []
 
-    def tabulated(plan, table):
+    def fill(table, arrays):
         made.append(weakref.ref(table.memory))
-        return table
 
     monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._tables", {})
-    monkeypatch.setattr(PhaseSpace, "tabulated", tabulated)
+    monkeypatch.setattr(PhaseSpace, "tabulated", lambda plan: [])
+    monkeypatch.setattr(Table, "fill", fill)
     plans = [PhaseSpace.of(PlenopticCamera(), 500.0, WaveAccuracy(degree=1, radial=2, window=9 + k)) for k in range(20)]
     sizes = [Table(plan.shapes).size for plan in plans]
     monkeypatch.setattr("mitsuba_plenoptic.waves.phase_space._BYTES", sum(sizes[-4:]))

@@ -211,4 +211,7 @@ class _ZemaxReader(DesignReader):
             kind not in (_FIXED, _PICKED_UP, _SUBSTITUTE),
             "only fixed, substitute, picked up and model glasses are read",
         )
-        return catalogue_glass(name, f"{self.path}, line {line.number}: glass", self.makers or None)
+        numbers = line.value(4, 1.5), line.value(5, 40.0)
+        # Where no index is stated, these stand for it.
+        stated = None if numbers == (1.5, 40.0) or min(numbers) < 1 else Glass("abbe", numbers, name)
+        return catalogue_glass(name, f"{self.path}, line {line.number}: glass", self.makers or None, stated=stated)

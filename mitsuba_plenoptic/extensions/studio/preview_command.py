@@ -43,27 +43,35 @@ def preview(
     $ mitsuba-plenoptic preview my_scene.xml --camera lytro
     $ mitsuba-plenoptic preview beads
     """
-    from ... import design
-    from ...camera import PlenopticCamera
-    from ...optics import guards
     from ...runtime import require_writable
-    from ...scene import estimate_capture, plenoptic_sensor
 
     target = require_writable(output or Path(f"{Path(scene).stem}.preview.png"))
     inputs.require_png(dpi, target)
+    costs: list[str] = []
     with progress_bar("Previewing") as progress:
+        from ... import design
+        from ...camera import PlenopticCamera
+        from ...optics import guards
+        from ...scene import estimate_capture, plenoptic_sensor
+
         loaded = inputs.open_scene(scene, inputs.parse_definitions(define), variant, camera, unit=unit)
         seen_by = PlenopticCamera.from_sensor(plenoptic_sensor(loaded))
-        progress(1, 4)
+        progress(1, 5)
         # Brings Matplotlib, which takes a while to load.
         from .preview import framing_warnings, preview_figure, preview_of
 
         shown_preview = preview_of(loaded, seen_by)
-        progress(2, 4)
+        progress(2, 5)
         view = shown_preview.view
         where = f"at {view.in_units(view.focus)}" if seen_by.objective is None else "in the native object plane"
-        progress(3, 4)
         preview_figure(Path(scene).name, shown_preview).save(target, dpi)
+        for model in ("ray", "wave") if waves else ("ray",):
+            progress(3 + len(costs), 5)
+            try:
+                cost = estimate_capture(loaded, model=model, spp=spp)
+                costs.append(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
+            except (InputError, guards.PhysicsError) as error:
+                costs.append(f"{model} capture: refused: {error}")
     typer.echo(f"{target}: the picture")
     typer.echo(f"field: {view.field_in_units()} {where}")
     typer.echo(f"{view.sharp_label}: {view.between(*view.sharp_range())}")
@@ -72,11 +80,7 @@ def preview(
     if seen_by.objective is not None and seen_by.objective.is_fourier:
         count = str(len(design.lenses_in_stop(seen_by)[1]))
     typer.echo(f"micro-images: {pixels:.3g} pixels apart, {count} of them")
-    for model in ("ray", "wave") if waves else ("ray",):
-        try:
-            cost = estimate_capture(loaded, model=model, spp=spp)
-            typer.echo(f"{model} capture: about {in_words(cost.seconds)} and {cost.memory / 2**30:.2g} GiB")
-        except (InputError, guards.PhysicsError) as error:
-            typer.echo(f"{model} capture: refused: {error}")
+    for text in costs:
+        typer.echo(text)
     for text in framing_warnings(shown_preview):
         typer.echo(f"framing: {text}")

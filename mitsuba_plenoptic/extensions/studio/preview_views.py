@@ -50,9 +50,8 @@ class LensView:
         return f"in focus at {self.in_units(self.focus)}"
 
     def sharp_range(self) -> tuple[float, float]:
-        """Return the nearest and farthest distance that some microlenses show sharply when refocused; NaN for none."""
-        ranges = [depth_range for depth_range in design.depth_ranges(self.camera) if depth_range is not None]
-        return (min(near for near, _ in ranges), max(far for _, far in ranges)) if ranges else (math.nan, math.nan)
+        """Return the range of refocusing, without diffraction."""
+        return design.refocus_range(self.camera)
 
     def take(self, scene: Any, size: tuple[int, int], spp: int) -> Array:
         """Return the picture of the scene, with colours where the variant has them, by Mitsuba's thin lens."""
