@@ -31,8 +31,8 @@ from ..errors import refuse_if
 from ..fields import OpticalSystem
 from ..lenses import FourierLens
 from ..optics import in_millimetres, soft_edge
-from ..runtime import BatchMap, Box, Doubles, Floats, Integers, Job, Part, PartialSum, check_memory
-from .full_fields import full_field, recorded_pixels
+from ..runtime import Doubles, Floats, Integers, Job, Part
+from .full_fields import FullFieldPlan, FullFieldSum, full_field, recorded_pixels
 from .pupil_weights import PupilWeights
 
 _TAIL = 1e-3
@@ -44,12 +44,13 @@ _KEPT = 2**31
 _SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
 
 
-class ShiftedPlan:
+class ShiftedPlan(FullFieldPlan):
     """Captures of points by shifted full fields, with the parameters of `PatchPlan`."""
 
     def __init__(
         self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
     ) -> None:
+        super().__init__(system, points, pupil_weights, accuracy)
         camera, lens = system.camera, objective_of(system.camera)
         refuse_if(pupil_weights is not None, "pupil_weights: spreads of method patch are shared there; use full_field")
         z = camera.reduced_distance
@@ -59,20 +60,10 @@ class ShiftedPlan:
             f"detector_distance = {camera.detector_distance:g}: the field stop's edge is {blur:.2g} mm out of focus on "
             "the detector, where method patch takes a pixel; use full_field",
         )
-        self._system, self._points = system, points
-        self._depths, self._depth_of = np.unique(points[:, 2], return_inverse=True)
-        self._fine = fine_camera(
-            camera.replace(main_lens=replace(lens, field_stop=None)),
-            system.wavelength,
-            float(np.abs(self._depths).max(initial=0)),
-            samples=2,
-        )
-        self._spots: dict[int, Spots] = {}
-
-    @property
-    def box(self) -> Box:
-        """Box of the recorded pixels."""
-        return recorded_pixels(self._system.camera)
+        deepest = float(np.abs(points[:, 2]).max(initial=0))
+        open_ = camera.replace(main_lens=replace(lens, field_stop=None))
+        self._fine = fine_camera(open_, system.wavelength, deepest, samples=2)
+        self._spots: dict[float, Spots] = {}
 
     def sum(self, weights: Doubles) -> ShiftedSum:
         """Return the sum, not yet computed, of the point spreads with given weights, (n, channels)."""
@@ -82,72 +73,58 @@ class ShiftedPlan:
         """Return each point spread's inner product with an image; see `PatchPlan.gather`."""
         channels = np.ascontiguousarray(np.moveaxis(image, 2, 0), np.float32)
         result = np.zeros((len(self._points), len(channels)))
-        depths = range(len(self._depths))
-        members = [self.members(depth) for depth in depths]
-        batches = (_Layer(self, depth, some, channels, True) for depth, some in zip(depths, members, strict=True))
-        for some, products in zip(members, job.each(batches, [*map(len, members)], done, total), strict=True):
-            result[some] = products
+        layers = self.layers(np.arange(len(self._points)))
+        batches = (_Layer(self, points, channels, True) for points in layers)
+        for points, products in zip(layers, job.each(batches, [*map(len, layers)], done, total), strict=True):
+            result[points] = products
         return result
 
-    def members(self, depth: int) -> Integers:
-        """Return the numbers of the points of a depth."""
-        return np.flatnonzero(self._depth_of == depth)
+    def layers(self, points: Integers) -> list[Integers]:
+        """Return numbers of points divided by depth."""
+        depths = self._points[points, 2]
+        return [points[depths == depth] for depth in np.unique(depths)]
 
-    def check_memory(self, batch_map: BatchMap, channels: int = 1) -> None:
-        """Refuse images too large for the memory. The memory of fields is checked depth by depth."""
-        rows, columns = self._system.camera.shape
-        check_memory(8.0 * channels * rows * columns, f"image of {columns} x {rows} pixels")
-
-    def layer(self, depth: int, members: Integers) -> ShiftedLayer:
-        """Return the convolution of some points of a depth, whose spots are computed on first use."""
+    def layer(self, points: Integers) -> ShiftedLayer:
+        """Return the convolution of points of one depth, whose spots are computed on first use."""
+        depth = float(self._points[points[0], 2])
         spots = self._spots.get(depth)
         if spots is None:
-            spots = Spots.of(self._system, self._fine, float(self._depths[depth]))
-            if sum(kept.values.nbytes for kept in self._spots.values()) < _KEPT:
+            spots = Spots.of(self._system, self._fine, depth)
+            if sum(layer.values.nbytes for layer in self._spots.values()) < _KEPT:
                 self._spots[depth] = spots
-        return ShiftedLayer(self._system, spots, self._points[members, :2])
+        return ShiftedLayer(self._system, spots, self._points[points, :2])
 
 
-class ShiftedSum:
-    """A sum of shifted full fields, depth by depth, with the interface of `runtime.batches.LongSum`."""
+class ShiftedSum(FullFieldSum):
+    """A sum of shifted full fields, depth by depth."""
 
     def __init__(self, plan: ShiftedPlan, weights: Doubles) -> None:
-        self._plan, self._weights = plan, weights
-        lit = (plan.members(depth) for depth in range(len(plan._depths)))
-        members = [some[weights[some].any(1)] for some in lit]
-        self._lit = [(depth, some) for depth, some in enumerate(members) if len(some)]
-        self.arrays: Any = np
-        self.box = plan.box
-        self.channels = weights.shape[1]
-        self.items = np.array([len(some) for _, some in self._lit], np.int64)
+        super().__init__(plan, weights)
+        self._layers = plan.layers(self._lit)
+        self.items = np.array([*map(len, self._layers)], np.int64)
 
-    def batches(self, first: int) -> Iterator[_Layer]:
+    def batches(self, first: int) -> Iterator[Any]:
         """Yield one batch for each depth."""
-        return (_Layer(self._plan, depth, some, self._weights[some], False) for depth, some in self._lit[first:])
-
-    def image(self, total: PartialSum) -> Floats:
-        """Return the total with its channels in the last axis."""
-        return np.ascontiguousarray(total.sums.transpose(1, 2, 0))
+        return (_Layer(self._plan, points, self._weights[points], False) for points in self._layers[first:])
 
 
 @dataclass(frozen=True)
 class _Layer:
     """The points of one depth, as a batch: the image of their weights, or their products with an image."""
 
-    plan: ShiftedPlan
-    depth: int
-    members: Integers
+    plan: Any
+    points: Integers
     values: Any
     is_adjoint: bool
 
     @property
     def samples(self) -> int:
         """Number of recorded pixels."""
-        return self.plan.box.columns * self.plan.box.rows
+        return int(self.plan.box.columns * self.plan.box.rows)
 
     def prepare(self) -> Callable[[], Any]:
         """Return a function that convolves; full fields are computed here."""
-        layer = self.plan.layer(self.depth, self.members)
+        layer = self.plan.layer(self.points)
         if self.is_adjoint:
             return lambda: layer.adjoint(self.values)
         return lambda: Part(self.plan.box, layer.forward(self.values))
@@ -193,11 +170,11 @@ class Spots:
             own = nearest[top : top + size, left : left + size] == number
             spot = spread[top * parts : (top + size) * parts, left * parts : (left + size) * parts]
             values[number] = spline_filter(spot * own.repeat(parts, 0).repeat(parts, 1), mode="grid-constant")
-        margin = (np.array([columns, rows]) - camera.resolution) // 2
+        corner = pixel - half - [(columns - camera.resolution[0]) // 2, (rows - camera.resolution[1]) // 2]
         # The derivative of tan(theta) by the position on the array.
         steepness = (1 + (directions.slope**2).sum(1)) ** 1.5 / (lens.immersion * lens.last_focal_length)
         width = abs(depth) * lens.magnification**2 * camera.lattice.aperture_width * steepness
-        return cls(parts, pixel - half - margin, values, passage, width)
+        return cls(parts, corner, values, passage, width)
 
 
 class ShiftedLayer:
