@@ -170,7 +170,8 @@ class Spots:
             own = nearest[top : top + size, left : left + size] == number
             spot = spread[top * parts : (top + size) * parts, left * parts : (left + size) * parts]
             values[number] = spline_filter(spot * own.repeat(parts, 0).repeat(parts, 1), mode="grid-constant")
-        corner = pixel - half - [(columns - camera.resolution[0]) // 2, (rows - camera.resolution[1]) // 2]
+        margin = (columns - camera.resolution[0]) // 2, (rows - camera.resolution[1]) // 2
+        corner = (pixel - half - margin).astype(np.int64)
         # The derivative of tan(theta) by the position on the array.
         steepness = (1 + (directions.slope**2).sum(1)) ** 1.5 / (lens.immersion * lens.last_focal_length)
         width = abs(depth) * lens.magnification**2 * camera.lattice.aperture_width * steepness
