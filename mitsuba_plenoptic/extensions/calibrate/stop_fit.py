@@ -77,8 +77,9 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     lens = camera.objective
     assert lens is not None
     refuse_if(lens.field_stop is None, "main_lens: the white picture is of no field_stop, which ends micro-images")
-    model = _WhiteModel(white, camera, lens, _FINE)
-    fit = model.fitted(_found(_WhiteModel(white, camera, lens, _COARSE)))
+    coarse, model = (_WhiteModel(white, camera, lens, samples) for samples in (_COARSE, _FINE))
+    likeliest = min((coarse.fitted(start, 20) for start in coarse.starts()[:3]), key=lambda fit: fit.cost)
+    fit = model.fitted(likeliest.x)
     residual = math.sqrt(np.mean(fit.fun**2))
     deviations = residual * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)).clip(0))
     values, residual = fit.x, residual / abs(float(fit.x[8]))
@@ -117,12 +118,6 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     return StopFit(fitted, found, errors, residual)
 
 
-def _found(model: _WhiteModel) -> Doubles:
-    """Return the numbers of a coarse picture."""
-    fits = [model.fitted(start, 20) for start in model.starts()[:3]]
-    return np.asarray(min(fits, key=lambda fit: fit.cost).x)
-
-
 class _WhiteModel:
     """A white picture of a microscope, as a function of twelve numbers.
 
@@ -139,18 +134,14 @@ class _WhiteModel:
         self._half = float(lens.field_stop or 0) * self.scale
         self._points = int(_POINTS * samples)
         finer = max(1, int(self._half / camera.pixel_size / samples))
-        rows, columns = (size // finer for size in white.shape)
-        top, left = ((size - count * finer) // 2 for size, count in zip(white.shape, (rows, columns), strict=True))
-        whole = white[top : top + rows * finer, left : left + columns * finer]
-        self._white = whole.reshape(rows, finer, columns, finer).mean((1, 3))
         self._sample = camera.pixel_size * finer
-        middle = [
-            (edge + count * finer / 2 - size / 2)
-            for edge, count, size in zip((left, top), (columns, rows), white.shape[::-1], strict=True)
-        ]
+        # Means over pixels, of whole blocks.
+        rows, columns = (size // finer for size in white.shape)
+        blocks = white[: rows * finer, : columns * finer].reshape(rows, finer, columns, finer)
+        self._white = blocks.mean((1, 3))
         self._x, self._y = (
-            (np.arange(count) + 0.5 - count / 2) * self._sample + off * camera.pixel_size
-            for count, off in zip((columns, rows), middle, strict=True)
+            camera.pixel_coordinates(axis)[: count * finer].reshape(count, finer).mean(1)
+            for axis, count in ((0, columns), (1, rows))
         )
 
     def fitted(self, values: Doubles, steps: int | None = None) -> Any:
@@ -200,10 +191,11 @@ class _WhiteModel:
         for centre in centres:
             x, y = (c - s for c, s in zip(centre, (stop_x, stop_y), strict=True))
             inset = radius - math.hypot(x, y)
-            lit = float(inset > 0)
             if abs(inset) < reach:
                 inside = (radius - np.hypot(x + aside[0], y + aside[1])) * (self._points / 2 / reach)
                 lit = float((inside + 0.5).clip(0, 1).mean())
+            else:
+                lit = float(inset > 0)
             sine = math.hypot(x, y) * lens.magnification / (lens.last_focal_length * lens.immersion)
             columns, rows = (
                 slice(*np.searchsorted(axis, (c - wide, c + wide)))
