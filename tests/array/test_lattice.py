@@ -130,6 +130,10 @@ def test_apertures_have_their_area_and_are_filled_evenly(name, pitches, aperture
     expected = np.histogram2d(x[inside], y[inside], bins=bins)[0] / inside.sum()
     assert np.abs(mapped - expected).max() < 0.04 * expected.max()
     # The same in Dr.Jit.
+    # Points of a grid have the mean of all, and nearly their mean square.
+    grid = lattice.aperture_grid(32)
+    assert np.allclose(grid.mean(1), 0, atol=1e-4 * PITCH)
+    assert np.allclose((grid**2).mean(1), [np.mean(dx**2), np.mean(dy**2)], rtol=0.02)
     points = lattice.aperture_point(mi.Float(s), mi.Float(t))
     assert np.abs(np.array(points) - [dx, dy]).max() < 1e-6
     assert dr.mean(mi.Float(lattice.in_aperture(points[0] * 0.999, points[1] * 0.999)))[0] == 1
