@@ -67,7 +67,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         computed for each wavelength, or for each of the spectrum's nodes.
     method : {"patch", "full_field"}
         Method of computing point spreads: each on the part of the array that its point lights, or each on the whole
-        array, without shortcuts.
+        array, without shortcuts. In the Fourier arrangement the method "patch" computes one for all points of a depth.
     accuracy : float, optional
         Allowed relative error (L2, over the image of all points, against that of 0) of the method "patch", below 1;
         0.01 by default. Points of nearly the same wavefront at neighbouring lenses may then share a point spread.
