@@ -61,8 +61,11 @@ class ShiftedPlan(FullFieldPlan):
             "the detector, where method patch takes a pixel; use full_field",
         )
         deepest = float(np.abs(points[:, 2]).max(initial=0))
-        open_ = camera.replace(main_lens=replace(lens, field_stop=None))
-        self._fine = fine_camera(open_, system.wavelength, deepest, samples=2)
+        if lens.field_stop is not None:
+            # Light of the point on the axis that no point sends through the field stop is left out.
+            farthest = lens.magnification * float(np.abs(points[:, :2]).max(initial=0))
+            lens = replace(lens, field_stop=1.5 * (lens.field_stop + farthest), field_stop_shape="square")
+        self._fine = fine_camera(camera.replace(main_lens=lens), system.wavelength, deepest, samples=2)
         self._spots: dict[float, Spots] = {}
 
     def sum(self, weights: Doubles) -> ShiftedSum:
@@ -315,6 +318,8 @@ def fine_camera(
     finest = in_millimetres(wavelength) * z / (2 * camera.lattice.aperture_width)
     parts = bins * max(1, math.ceil(samples * p / bins / finest))
     moved = lens.view_scale(z) * deepest * math.tan(lens.half_angle)
+    if lens.field_stop is not None:
+        moved = min(moved, lens.field_stop * z / lens.last_focal_length)
     # Light of the outermost lenses goes 2 lens pitches beyond the image of the stop.
     lit = math.ceil((lens.blur_diameter(0) + 4 * max(camera.mla_pitches) + 2 * moved) / p)
     # As many pixels more on one side as on the other.

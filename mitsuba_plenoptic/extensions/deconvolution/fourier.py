@@ -21,7 +21,9 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
+from ...design import objective_of
 from ...detector import SHARP, DetectorOperator
+from ...errors import warn
 from ...fields import OpticalSystem
 from ...points import FullFieldPlan, fine_camera, radiance_weight
 from ...runtime import Floats, Job, active_backend, fft
@@ -63,6 +65,13 @@ class FourierResponse(StoredResponse):
         self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
+        lens = objective_of(camera)
+        cut = lens.magnification * deepest * math.tan(lens.half_angle)
+        if lens.field_stop is not None and cut > lens.field_stop / 2:
+            warn(
+                f"distance = {deepest:g}: beyond depths of {deepest * lens.field_stop / 2 / cut:.2g} mm the field stop cuts "
+                "light of other lenses off the axis than in the middle, whose response counts"
+            )
         fine = fine_camera(camera, wavelength, deepest, oversample, beyond=1)
 
         def memory(oversample: int) -> float:
