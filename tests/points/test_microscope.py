@@ -162,7 +162,7 @@ def test_points_of_a_depth_share_a_full_field(numbers):
     whole = [0, 2] if camera.main_lens.field_stop else [0, 1, 2, 3]
     weights = np.array([1.0, 2.0, 0.5, 3.0])[whole] @ np.eye(4)[whole]
     image = shared.forward(weights)
-    assert error(image, exact.forward(weights)) < 0.006
+    assert error(image, exact.forward(weights)) < (0.009 if camera.main_lens.field_stop else 0.004)
     random = np.random.default_rng(0).random(image.shape)
     assert shared.adjoint(random) @ weights == pytest.approx(np.vdot(image.astype(float), random), rel=1e-5)
 

@@ -69,8 +69,8 @@ class FourierResponse(StoredResponse):
         cut = lens.magnification * deepest * math.tan(lens.half_angle)
         if lens.field_stop is not None and cut > lens.field_stop / 2:
             warn(
-                f"distance = {deepest:g}: beyond depths of {deepest * lens.field_stop / 2 / cut:.2g} mm the field stop cuts "
-                "light of other lenses off the axis than in the middle, whose response counts"
+                f"distance = {deepest:g}: beyond depths of {deepest * lens.field_stop / 2 / cut:.2g} mm the field stop "
+                "cuts light of other lenses off the axis than in the middle, whose response counts"
             )
         fine = fine_camera(camera, wavelength, deepest, oversample, beyond=1)
 

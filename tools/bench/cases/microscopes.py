@@ -201,7 +201,7 @@ def _plane(camera: PlenopticCamera) -> mi.Scene:
         "seconds": "{seconds:.0f}",
     },
     (at_most("aside", 0.3), at_most("deeper", 0.7), at_most("other", 0.25)),
-    page="docs/guides/microscope.md",
+    page="docs/guides/fourier_microscope.md",
     needs=("pyolaf",),
     quick={"planes": 13},
 )  # fmt: skip
