@@ -4,8 +4,6 @@ It stops where only noise is left in the residual, weighted by the variances of 
 residual over noise hardly falls any more.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ Bins lie on a grid `oversample` times as fine as the pixels, in the pictures und
 within a pixel share one kernel, so that a plane has as many kernels as there are bins in a pixel.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ block of samples contain light, and the other pairs are left out. Their power is
 a common factor, so that no power is lost.
 """
 
-from __future__ import annotations
-
 import itertools
 import tempfile
 from collections.abc import Callable, Iterable, Sequence

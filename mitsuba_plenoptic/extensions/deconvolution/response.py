@@ -3,8 +3,6 @@
 Kernels are means of exact point spreads, or of rays.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools
