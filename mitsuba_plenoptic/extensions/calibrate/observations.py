@@ -223,8 +223,7 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return positions on boards, (n, 2), in the camera frame, (n, 3), with the pose of each row."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
-    rotated = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
-    return rotated + poses[pose, 3:]
+    return Rotation.from_rotvec(poses[pose, :3]).apply(flat) + poses[pose, 3:]
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:

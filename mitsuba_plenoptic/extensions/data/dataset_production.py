@@ -77,8 +77,7 @@ def make_dataset(
     folder = Path(folder).absolute()
     _try_scenes(recipe)
     with locked(folder / LOCK, f"{folder}: another process is making this data set"):
-        layout = claim(folder, recipe)
-        _produce(recipe, layout, batch_map, progress)
+        _produce(recipe, claim(folder, recipe), batch_map, progress)
         data_set = DataSet(folder)
         write_preview(folder / PREVIEW, data_set)
         write_card(folder / CARD, recipe, data_set)

@@ -60,8 +60,7 @@ class FourierResponse(StoredResponse):
         pixels = np.array(camera.crop_size)
         self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
-        deepest = max(abs(distance) for distance in distances)
-        fine = fine_camera(camera, wavelength, deepest, oversample, beyond=1)
+        fine = fine_camera(camera, wavelength, max(abs(distance) for distance in distances), oversample, beyond=1)
 
         def memory(oversample: int) -> float:
             spectra = self._spectra_memory(oversample) / (self._count if self._folder else 1)
@@ -100,7 +99,7 @@ class FourierResponse(StoredResponse):
             height, width = self._camera.shape
             rows_of = fft.fft(total, axis=0, inverse=True)[:height]
             image = libraries.to_host(fft.irfft(rows_of, columns, axis=1)[:, :width])
-        return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
+        return self._detector.forward(np.ascontiguousarray(image))
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
@@ -157,7 +156,7 @@ class FourierResponse(StoredResponse):
             positions.append(places[inside] % self._size[1 - axis])
             sources.append(inside)
         wrapped = np.zeros(self._size, np.float32)
-        spectra: fft.Field = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        spectra = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
         for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
             kernel = _over_pixels(_over_pixels(parts, o, across.start), o, down.start)
             wrapped[np.ix_(*positions)] = kernel[np.ix_(*sources)]
@@ -201,5 +200,4 @@ def _over_bins(spread: Floats, width: int) -> Floats:
 
 def _over_pixels(parts: Floats, count: int, start: int) -> Floats:
     """Return sums along pixels, each of `count` parts, of parts moved on by `start`, transposed; one pixel is added."""
-    padded = np.pad(parts, ((0, 0), (start, count - start)))
-    return padded.reshape(len(parts), -1, count).sum(-1).T
+    return np.pad(parts, ((0, 0), (start, count - start))).reshape(len(parts), -1, count).sum(-1).T

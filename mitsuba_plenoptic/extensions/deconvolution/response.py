@@ -66,8 +66,7 @@ def wave_batches(
     if vignetting is not None:
         numbers = vignetting.at(*cells.middle(cell))
         constant: Any = {name: (float(value),) for name, value in numbers.items()}
-        seen = replace(vignetting, **constant)
-        grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
+        grid = replace(grid, camera=grid.camera.replace(vignetting=replace(vignetting, **constant)))
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     nearness = float(inverse_distance(lens, np.array([[0.0, 0.0, depth]]))[0])
@@ -170,15 +169,14 @@ def _pairs(count: int) -> tuple[Doubles, Doubles]:
 def _trace(batch: RayBatch) -> Part:
     """Return the light of a bin's rays, each distributed to the four nearest samples."""
     cells = batch.cells
-    grid = batch.cells.grid
-    camera = batch.cells.camera
-    lens = grid.lens
+    grid = cells.grid
+    camera = cells.camera
     light = grid.lens.bind(np.empty((0, 3)))
     walk = Walk.of(camera, grid.lens)
     inside, disc = _pairs(batch.samples)
     b = camera.mla_distance
     q = batch.corner + inside * cells.bin_sizes
-    pupil = cast(tuple[Doubles, Doubles], tuple(lens.pupil.radius * disc))
+    pupil = cast(tuple[Doubles, Doubles], tuple(grid.lens.pupil.radius * disc))
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
@@ -248,16 +246,19 @@ class Response(StoredResponse):
         if wavelength is None:
             grid = ray_grid(camera)
             self._together = 1
-            # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
-            rays = math.ceil(256 * math.sqrt(oversample / _fine(grid, camera, oversample)))
-            self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             recorded = recorded.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
+        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, or finer ones.
+        repeated = camera.lattice.separable and camera.lattice.aspect == 1 and grid.lens.is_uniform
+        self.cells = BinCells(grid, oversample if repeated else max(6, oversample))
+        # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
+        rays = math.ceil(256 * math.sqrt(oversample / self.cells.oversample))
+        self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
+        if wavelength:
             self._batches = functools.partial(wave_batches, fine)
-        self.cells = BinCells(grid, _fine(grid, camera, oversample))
         self._camera = camera
         self._distances = distances
         everywhere = np.full((1, 2), 2**40)
@@ -316,7 +317,9 @@ class Response(StoredResponse):
             sums = [np.zeros((self._recorder.box.rows, self._recorder.box.columns), np.float32) for _ in seen]
             for some, samples in zip(seen, sums, strict=True):
                 self.cells.windows(samples)[corners[:, 1], corners[:, 0]] = some[:, None, None]
-            x, y, ones = (self._recorded(active_backend().arrays.asarray(samples)) for samples in sums)
+            x, y, ones = (
+                self._recorder.record(active_backend().arrays.asarray(samples)[None])[..., 0] for samples in sums
+            )
             zone = np.stack([x, y]) / ones
         own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
@@ -421,8 +424,7 @@ class Response(StoredResponse):
         camera = self.cells.camera
         batches = itertools.chain.from_iterable(self._batches(self.cells, distance, cell))
         sent = sum(copy.weights.sum() for batch in batches for copy in batch.copies)
-        types = len(camera.mla_focal_lengths)
-        sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod()
+        sent *= camera.lattice.lens_area * len(camera.mla_focal_lengths) / self.cells.vectors.diagonal().prod()
         if self._vignetting is not None:
             sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
@@ -487,8 +489,7 @@ class Response(StoredResponse):
         """Return the cell in the middle of a zone."""
         cell_index = self._sampled.index[members]
         places = cell_index @ self.cells.vectors
-        middle: Integers = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
-        return middle
+        return cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
 
     def _width_of_pupils(self, widest: int) -> int:
         """Return the width of zones over which the pupil changes by a tenth, a quarter behind a real lens, at most."""
@@ -578,12 +579,8 @@ class Response(StoredResponse):
         samples = active_backend().arrays.zeros((box.rows, box.columns), np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        image = self._recorded(samples)
+        image = self._recorder.record(samples[None])[..., 0]
         return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
-
-    def _recorded(self, samples: Floats) -> Floats:
-        """Return the integrals over pixels of the samples around all cells."""
-        return np.asarray(self._recorder.record(samples[None])[..., 0])
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
@@ -661,10 +658,3 @@ def _dimmed(
         mean = _around(camera, part)
         far += np.divide(part, 2 * mean, out=np.full_like(part, 0.5), where=mean > 0.02)
     return here, np.asarray(blur.forward(white)) if zone is None else light(*zone), far
-
-
-def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:
-    """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
-    lattice = camera.lattice
-    separable = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
-    return oversample if separable else max(6, oversample)

@@ -146,7 +146,7 @@ class PointRays:
                 own = None if self._pupil_weights is None else self._pupil_weights.take(some)
                 _Bundles(camera, lens, self._points[some], across, own).add(image, weights[some])
                 dr.eval(image)
-        return np.asarray(image.numpy().reshape(camera.shape))
+        return image.numpy().reshape(camera.shape)
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: Doubles) -> tuple[Doubles, Doubles]:
@@ -194,8 +194,7 @@ class _Bundles:
         whole = dr.block_sum(power, side * side)
         power *= dr.gather(Float64, drjit_array(Float64, factors) / dr.select(whole > 0, whole, 1), which)
         position = light.land(pupil, point)
-        scales = _scales(self.camera, self.lens, self.points)
-        on_array, on_detector = (value(abs(scale)) * step for scale in scales)
+        on_array, on_detector = (value(abs(scale)) * step for scale in _scales(self.camera, self.lens, self.points))
         for (i, j), fraction in self._lenses(position, on_array):
             landed, weight = self._walk.onto_detector(pupil, Passage(position, self._walk.lenslet(i, j)))
             # In a medium squares are smaller than by the reduced distance.
@@ -220,9 +219,7 @@ class _Bundles:
         lengths = drjit_array(array_module().Float64, np.array(camera.mla_focal_lengths))
         dr.make_opaque(lengths)
         medium = camera.mla_medium if camera.mla_medium == 1 else number(camera.mla_medium)
-        lens = self.lens.opaque(number)
-        z = number(camera.detector_distance)
-        return Walk(camera, lens, lattice, lengths, z, medium)
+        return Walk(camera, self.lens.opaque(number), lattice, lengths, number(camera.detector_distance), medium)
 
     def _lenses(self, position: Pair, width: Any) -> list[tuple[Pair, Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""

@@ -57,8 +57,7 @@ def micro_image(camera: PlenopticCamera, lens: float) -> Array:
     """Return detector points across a lens's micro-image, between the ends of the pupil."""
     b = camera.mla_distance
     z = camera.detector_distance
-    middle = rays.chief_detector_point(camera, lens)
-    return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
+    return rays.chief_detector_point(camera, lens) + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
 
 
 @plots.styled

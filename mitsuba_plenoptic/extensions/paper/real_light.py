@@ -322,8 +322,7 @@ def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[tuple[
     nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
     values = image[tuple(nearest)].clip(0).repeat(_FINER, 0).repeat(_FINER, 1)
     if "edge" in shape.areas:
-        window = shape.window("edge", FINE)
-        edge = window_sharpness(image[window].astype(np.float64))
+        edge = window_sharpness(image[shape.window("edge", FINE)].astype(np.float64))
         finer = shape.window("edge", FINE * _FINER)
         part = values[finer]
         y, x = (np.indices(part.shape) + 0.5) / _FINER - 0.5

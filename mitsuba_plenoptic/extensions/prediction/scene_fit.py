@@ -94,7 +94,7 @@ class _PriorSteps(Steps):
 
     def predicted(self, model: Array) -> Array:
         """Return the pixels' light from their direct light and their glow."""
-        return np.asarray(model[0] + np.float32(self.stray) * model[1])
+        return model[0] + np.float32(self.stray) * model[1]
 
 
 def fit_scene(
