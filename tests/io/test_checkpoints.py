@@ -21,7 +21,6 @@ from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.waves import phase_space, scheme, signed_rays
 
 SMALL = small_camera(4, **HALF)
-SCENE = letters(4, resolution=64)
 
 
 class Trap:
@@ -35,7 +34,7 @@ class Trap:
 
 def render(checkpoint=None, parameters=None, **options):
     """Render the capture by waves, or one a little different from it."""
-    scene = load_scene("letters", parameters=SCENE | (parameters or {}))
+    scene = load_scene("letters", parameters=letters(4, resolution=64) | (parameters or {}))
     return render_capture(scene, checkpoint=checkpoint, **{"model": "wave", "method": "points", "spp": 16} | options)
 
 

@@ -98,10 +98,6 @@ def _lens_dimension(lens: Any, s: float) -> Any:
     return replace(lens, tube_focal_length=s * lens.tube_focal_length) if isinstance(lens, mp.Objective) else lens
 
 
-def _response(rng: np.random.Generator, values: Values) -> tuple[float, ...]:
-    return _floats([0, 1, 5, rng.uniform(0.7, 1), 15, rng.uniform(0.2, 0.7)])
-
-
 def _vignetting(rng: np.random.Generator, values: Values) -> mp.Vignetting:
     return mp.Vignetting(
         radius=[float(rng.uniform(0.8, 1)), *rng.uniform(-0.1, 0.1, 5).tolist()],
@@ -179,7 +175,7 @@ OPTIONS = {
     "stray_light": Option(lambda rng, v: float(rng.uniform(0, 0.3)) if rng.random() < 0.7 else mp.StrayLight(
         rng.uniform(0, 0.3, (3, 3)))),
     "stray_width": Option(lambda rng, v: {"stray_width": float(rng.uniform(3, 10)) * _pixel(v), "stray_light": 0.2}, 1),
-    "pixel_response": Option(_response),
+    "pixel_response": Option(lambda rng, v: _floats([0, 1, 5, rng.uniform(0.7, 1), 15, rng.uniform(0.2, 0.7)])),
     "glass": Option(lambda rng, v: {"glass": {"index": 1.5168, "abbe": float(rng.uniform(30, 65))}}),
     "mla_glass": Option(lambda rng, v: {"mla_glass": {"index": 1.49, "abbe": float(rng.uniform(30, 60))}}),
 }  # fmt: skip
