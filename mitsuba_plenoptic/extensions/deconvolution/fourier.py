@@ -56,9 +56,8 @@ class FourierResponse(StoredResponse):
         # Bins are ordered as in a lens's picture.
         self._windows = [(slice(None, None, -1),) * 2] * len(distances)
         super().__init__((len(distances) * rows * columns,), camera.shape)
-        bins = np.array(camera.bin_count)
-        pixels = np.array(camera.crop_size)
-        self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
+        lengths = np.add(camera.crop_size, camera.bin_count) - 1
+        self._size = tuple(fft.fast_length(float(length)) for length in reversed(lengths))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         fine = fine_camera(camera, wavelength, max(abs(distance) for distance in distances), oversample, beyond=1)
 

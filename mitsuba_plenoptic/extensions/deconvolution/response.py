@@ -176,7 +176,7 @@ def _trace(batch: RayBatch) -> Part:
     inside, disc = _pairs(batch.samples)
     b = camera.mla_distance
     q = batch.corner + inside * cells.bin_sizes
-    pupil = cast(tuple[Doubles, Doubles], tuple(grid.lens.pupil.radius * disc))
+    pupil = tuple(grid.lens.pupil.radius * disc)
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
@@ -437,7 +437,7 @@ class Response(StoredResponse):
         """
         lens, cells, camera = self.cells.grid.lens, self.cells, self._camera
         disc = _pairs(2**8)[1]
-        pupil: Any = tuple(lens.pupil.radius * disc)
+        pupil = tuple(lens.pupil.radius * disc)
         edge = lens.pupil.radius * math.sqrt(math.pi / disc.shape[1])
 
         def light(position: Any) -> Floats:
@@ -452,7 +452,7 @@ class Response(StoredResponse):
         zone = np.append(owner, len(middles))
         ones = np.ones((*camera.shape, 1), np.float32)
         corners, _ = cells.corners(self._sampled)
-        windows = cells.windows(np.asarray(active_backend().to_host(self._recorder.spread(ones)[0])))
+        windows = cells.windows(active_backend().to_host(self._recorder.spread(ones)[0]))
         recorded = windows[corners[:, 1], corners[:, 0]].sum((1, 2))
         complete = np.append(recorded > 0.99 * recorded.max(), False)
         light_of_bins = self.adjoint(ones[..., 0])
@@ -499,7 +499,7 @@ class Response(StoredResponse):
         def light(cells: Integers) -> Doubles:
             places = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
             inside, passed = _pupil_of(self.cells.grid.lens, self._vignetting, disc, places)
-            return np.asarray((inside >= 0) * passed)
+            return (inside >= 0) * passed
 
         step = max(1, widest // 8)
         here = light(index)
@@ -571,7 +571,7 @@ class Response(StoredResponse):
 
     def forward(self, values: Floats, /) -> Floats:
         """Return the image that the detector records of planes."""
-        return np.asarray(self._detector.forward(self._direct(values)))
+        return self._detector.forward(self._direct(values))
 
     def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
@@ -604,7 +604,7 @@ def _around(camera: PlenopticCamera, image: Floats) -> Floats:
     whole[: image.shape[0], : image.shape[1]] = image
     means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
     around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
-    return np.asarray(around[: image.shape[0], : image.shape[1]])
+    return around[: image.shape[0], : image.shape[1]]
 
 
 def _farthest(camera: PlenopticCamera) -> float:
@@ -648,7 +648,7 @@ def _dimmed(
 
     def light(*place: Any) -> Floats:
         inside, passed = _pupil_of(main_lens, camera.vignetting, pupil, place)
-        return np.asarray(blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32)))
+        return blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32))
 
     here = light(*centres)
     inside, _ = _pupil_of(main_lens, camera.vignetting, pupil, centres)
@@ -657,4 +657,4 @@ def _dimmed(
     for part in (here, rims):
         mean = _around(camera, part)
         far += np.divide(part, 2 * mean, out=np.full_like(part, 0.5), where=mean > 0.02)
-    return here, np.asarray(blur.forward(white)) if zone is None else light(*zone), far
+    return here, blur.forward(white) if zone is None else light(*zone), far

@@ -79,11 +79,10 @@ class WaveModel:
 
     def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of `images` with respect to the vector, (parameters, views, rows, columns)."""
-        names = vector.names
         directions = vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
-            slopes = derivatives.light_slopes(self._system, names, view.points)
+            slopes = derivatives.light_slopes(self._system, vector.names, view.points)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
                 # If the weights of all points grow equally, the image is scaled; otherwise it is computed anew.
@@ -253,7 +252,6 @@ class _Bundles:
     def _detect(self, image: Any, position: Pair, width: Any, power: Any) -> None:
         """Add squares of light around positions on the detector to the pixels that they cover."""
         camera = self.camera
-        UInt32 = array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
         half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
@@ -267,7 +265,7 @@ class _Bundles:
         for (column, across), (row, down) in itertools.product(*sides):
             lit = power * across * down
             seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (lit > 0)
-            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, UInt32(row * columns + column), seen)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, array_module().UInt32(row * columns + column), seen)
 
 
 def check_numbers(vector: CameraVector) -> None:

@@ -106,7 +106,7 @@ class Tilts:
         return waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T
 
     def _cosines(self, points: Doubles) -> Doubles:
-        return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
+        return np.stack(self._lens.cosines((0.0, 0.0), tuple(points.T)), -1)
 
 
 class Spheres:

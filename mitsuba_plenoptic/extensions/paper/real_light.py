@@ -128,7 +128,8 @@ def reproduce_real(
 def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> Judged:
     """Refocus a light field to all shapes by all methods, and compute verdicts and the quality of deconvolution."""
     camera = recording.camera
-    capture, white = recording.capture(wavelength), replace(recording.capture(wavelength), image=recording.white)
+    capture = recording.capture(wavelength)
+    white = replace(capture, image=recording.white)
     paper = paper_of(recording)
     key = f"{digest(recording.light, recording.white)} {camera.to_json()} {wavelength:g}"
     keys = {"capture": key}
@@ -185,11 +186,8 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
 def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> tuple[Doubles, Doubles]:
     """Return the corners in the camera's frame of left, top, width and height in bins."""
     left, top, width, height = area
-    columns, rows = camera.bin_count
-    bin_size = camera.bin_size(distance)
-    x = np.array([left + width, left]) - columns / 2
-    y = np.array([top + height, top]) - rows / 2
-    low, high = (np.array([-x[k] * bin_size, -y[k] * bin_size, distance]) for k in (0, 1))
+    corners = np.array([[left + width, top + height], [left, top]]) - np.array(camera.bin_count) / 2
+    low, high = np.column_stack([-corners * camera.bin_size(distance), [distance] * 2])
     return low, high
 
 
