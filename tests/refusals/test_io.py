@@ -48,16 +48,13 @@ test_files_that_cannot_be_written = refused(
 RAMP = np.linspace(0.1, 0.9, 32).reshape(4, 8)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "options", "words"),
-    [
-        (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
-        ((RAMP * 100).astype("i2"), {}, "int16"),
-        (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
-        ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
-        ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
-    ],
-)
+@pytest.mark.parametrize(("numbers", "options", "words"), [
+    (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
+    ((RAMP * 100).astype("i2"), {}, "int16"),
+    (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
+    ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
+    ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
+])  # fmt: skip
 def test_other_tiff_are_refused(tmp_path, numbers, options, words):
     tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
     refuses(rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}", read_picture, tmp_path / "a.tiff")
