@@ -87,8 +87,8 @@ class CoherentFields:
         arrays = active_backend().arrays
         count = self._pupil.count
         inner = arrays.zeros((count, count), np.complex64)
-        for part, layer in self._layers:
-            layer.add(arrays.asarray(amplitudes[part]), inner)
+        for block, layer in self._layers:
+            layer.add(arrays.asarray(amplitudes[block]), inner)
         return inner
 
     def _to(self, plane: str, rows: slice = slice(None)) -> Chain:
