@@ -116,13 +116,6 @@ def small_camera(lenses=8, **parameters):
     return PlenopticCamera(detector_width=0.064 * lenses, resolution=(32 * lenses,) * 2, **parameters)
 
 
-def places_of(bins, camera, oversample):
-    """Return the middles of a response's bins on the array, (rows, columns, 2)."""
-    rows, columns = np.indices(bins.shape)
-    index = np.stack([columns, rows], -1) + bins.first + 0.5
-    return (index - np.array(camera.bin_count) * oversample / 2) * (camera.row_pitch / oversample)
-
-
 def scattered(count, seed=0, distances=(225.0, 255.0), image=0.2):
     """Return scene points with their images anywhere within a distance from the axis."""
     rng = np.random.default_rng(seed)

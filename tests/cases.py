@@ -279,11 +279,6 @@ def _some(count: int, number: int, seed: int) -> np.ndarray:
     return values.reshape(count, count)
 
 
-def _grey(count: int, seed: int) -> np.ndarray:
-    """Return cells of random values, which files keep to four decimals."""
-    return np.asarray(np.random.default_rng(seed).random((count, count)).round(4) * _cells(count, opening))
-
-
 APERTURES = {
     "5 blades": polygon(5),
     "6 blades": polygon(6),
@@ -296,7 +291,8 @@ APERTURES = {
     "slit": picture(_cells(9, lambda x, y: (abs(x) < 0.1) & (abs(y) < 0.8))),
     "annulus": picture(_cells(63, lambda x, y: (np.hypot(x, y) <= 1) & (np.hypot(x, y) > 0.7))),
     "hole off centre": picture(_cells(63, lambda x, y: np.hypot(x - 0.5, y - 0.3) < 0.3)),
-    "grey": picture(_grey(9, 4)),
+    # Files keep four decimals.
+    "grey": picture(np.random.default_rng(4).random((9, 9)).round(4) * _cells(9, opening)),
 }
 """Parameters of the camera, and the same as a function, by name."""
 

@@ -74,24 +74,21 @@ test_mistakes = refused(
 )
 
 
-@pytest.mark.parametrize(
-    ("call", "error", "words"),
-    [
-        (lambda: PlenopticCamera(focal_lenght=80), TypeError, "'focal_lenght'; did you mean focal_length?"),
-        (lambda: PlenopticCamera(fnumber=2.8), TypeError, r"aperture_radius is focal_l.*; .* take f_number"),
-        (lambda: PlenopticCamera.load, AttributeError, "'load'; from_json is of the text of a camera's file"),
-        (lambda: mp.depth_map, AttributeError, r"did you mean views\.depth_map?"),
-        (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
-        (lambda: PlenopticCamera.preset("litro"), InputError, "preset = 'litro': .*; did you mean lytro?"),
-        (lambda: mp.Detector(red_noise=2), TypeError, "Detector() .*'red_noise'; did you mean read_noise?"),
-        (lambda: refocused(method="magic"), InputError, "method = 'magic': it must be one of [^;]*$"),
-        (lambda: mp.load_scene("leters"), InputError, "did you mean letters?"),
-        (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
-        (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
-        (lambda: captured(modl="wave"), TypeError, "'modl'; did you mean model?"),
-        (lambda: mp.load_scene({"type": "scene", "s": MISSPELT}), InputError, "did you mean focal_length?"),
-    ],
-)
+@pytest.mark.parametrize(("call", "error", "words"), [
+    (lambda: PlenopticCamera(focal_lenght=80), TypeError, "'focal_lenght'; did you mean focal_length?"),
+    (lambda: PlenopticCamera(fnumber=2.8), TypeError, r"aperture_radius is focal_l.*; .* take f_number"),
+    (lambda: PlenopticCamera.load, AttributeError, "'load'; from_json is of the text of a camera's file"),
+    (lambda: mp.depth_map, AttributeError, r"did you mean views\.depth_map?"),
+    (lambda: CAMERA.replace(mla_pich=0.05), InputError, "mla_pich: .*; did you mean mla_pitch?"),
+    (lambda: PlenopticCamera.preset("litro"), InputError, "preset = 'litro': .*; did you mean lytro?"),
+    (lambda: mp.Detector(red_noise=2), TypeError, "Detector() .*'red_noise'; did you mean read_noise?"),
+    (lambda: refocused(method="magic"), InputError, "method = 'magic': it must be one of [^;]*$"),
+    (lambda: mp.load_scene("leters"), InputError, "did you mean letters?"),
+    (lambda: mp.load_scene("letters", parameters={"resolutoin": "64"}), InputError, "did you mean resolution?"),
+    (lambda: mp.reconstrct, AttributeError, "did you mean reconstruct?"),
+    (lambda: captured(modl="wave"), TypeError, "'modl'; did you mean model?"),
+    (lambda: mp.load_scene({"type": "scene", "s": MISSPELT}), InputError, "did you mean focal_length?"),
+])  # fmt: skip
 def test_an_unknown_name_comes_with_the_one_that_it_resembles_if_any(call, error, words):
     with pytest.raises(error, match=words.replace("?", r"\?").replace("()", r"\(\)")):
         call()

@@ -270,9 +270,8 @@ def cameras() -> Image.Image:
         "focused (Keplerian)": {"detector_distance": 0.64},
         "three focal lengths": {**focal, "mla_focal_length": (0.45, 0.5, 0.56), "detector_distance": 0.61},
     }
-    return sheet(
-        [[(name, in_colour(mp.PlenopticCamera(**(CLOSE | array)), 64).image) for name, array in arrays.items()]]
-    )
+    captures = {name: in_colour(mp.PlenopticCamera(**(CLOSE | array)), 64) for name, array in arrays.items()}
+    return sheet([[(name, one.image) for name, one in captures.items()]])
 
 
 @picture
@@ -311,21 +310,11 @@ def exchange() -> Image.Image:
 @picture
 def microscope() -> Image.Image:
     """Show a point at three depths of a light-field microscope, and one in the Fourier arrangement."""
-    native = mp.PlenopticCamera(
-        main_lens=mp.Objective(20, 0.5),
-        mla_pitch=0.15,
-        mla_focal_length=3.0,
-        detector_width=1.35,
-        resolution=(135, 135),
-    )
-    fourier = mp.PlenopticCamera(
-        main_lens=mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50.0),
-        mla_pitch=0.5,
-        mla_focal_length=20.0,
-        mla_offset=(0.25, 0.25),
-        detector_width=3.5,
-        resolution=(700, 700),
-    )
+    array = {"mla_pitch": 0.15, "mla_focal_length": 3.0, "detector_width": 1.35, "resolution": (135, 135)}
+    native = mp.PlenopticCamera(main_lens=mp.Objective(20, 0.5), **array)
+    array = {"mla_pitch": 0.5, "mla_focal_length": 20.0, "detector_width": 3.5, "resolution": (700, 700)}
+    objective = mp.Objective(20, 0.5, arrangement="fourier", fourier_focal_length=50.0)
+    fourier = mp.PlenopticCamera(main_lens=objective, mla_offset=(0.25, 0.25), **array)
     row = []
     for title, depth in {"20 \u00b5m nearer": -0.02, "in focus": 0.0, "20 \u00b5m farther": 0.02}.items():
         spread = mp.point_spread_function(native, (0.004, 0.0, depth), wavelength=550)
@@ -409,7 +398,7 @@ def phase_space() -> Image.Image:
     plan = plan_of(camera, walls.WAVELENGTH, False, walls.WAVELENGTH)
     kernels = plan.kernels(camera.pixel_size / 4, plan.reach)
     middle = slice(kernels.shape[1] // 2 - 40, kernels.shape[1] // 2 + 41)
-    functions = plan.functions.count
+    numbers = {"First": 0, "Second": 1, "Fourth": 3, "First oblique": plan.functions.count}
     rows = [
         [
             ("First coefficient, P = 0", coefficient(plan, 0.0, 0)),
@@ -417,15 +406,7 @@ def phase_space() -> Image.Image:
             ("P = 0.97 R", coefficient(plan, 0.97, 0)),
             ("Second coefficient, P = 0", coefficient(plan, 0.0, 1)),
         ],
-        [
-            (title, signed(np.cbrt(kernels[number][middle, middle])))
-            for title, number in (
-                ("First kernel", 0),
-                ("Second kernel", 1),
-                ("Fourth kernel", 3),
-                ("First oblique kernel", functions),
-            )
-        ],
+        [(f"{title} kernel", signed(np.cbrt(kernels[number][middle, middle]))) for title, number in numbers.items()],
         wall_of_signed_rays(),
     ]
     return sheet(rows)
@@ -480,9 +461,8 @@ def focused() -> Image.Image:
     found = focused_captures()
     lenses = [(f"{name}: 4 x 4 lenses", one.image[448:576, 448:576]) for name, one in found.items()]
     results = [mp.reconstruct(one, 240, oversample=1 if name == "unfocused" else 8) for name, one in found.items()]
-    return sheet(
-        [lenses, [(f"refocused, {len(one.image)} x {len(one.image)} bins", one.image) for one in results]], 1.0
-    )
+    refocused = [(f"refocused, {len(one.image)} x {len(one.image)} bins", one.image) for one in results]
+    return sheet([lenses, refocused], 1.0)
 
 
 @picture
@@ -524,9 +504,8 @@ def gaussians() -> Image.Image:
     row = [("Wave capture", (target / target.max()).clip(0, 1))]
     for model, found in names["found"].items():
         left = np.array(names["mi"].render(names["scene_of"](*found, names[model]), spp=64)) - target
-        row.append(
-            (f"Left by the fit through {model}", coloured(left.mean(2) / target.max(), -0.3, 0.3, colours="RdBu_r"))
-        )
+        shown = coloured(left.mean(2) / target.max(), -0.3, 0.3, colours="RdBu_r")
+        row.append((f"Left by the fit through {model}", shown))
     return sheet([row])
 
 
@@ -582,9 +561,8 @@ def draw_from_above(axes: Axes, volume: xr.DataArray, place: np.ndarray, move: n
     """Draw a volume from above, and particles (n, 3) with their displacements."""
     above = volume.max("y")
     axes.pcolormesh(above["x"], above["z"], np.sqrt(above), cmap="gray")
-    axes.quiver(
-        place[:, 0], place[:, 2], move[:, 0], move[:, 2], color="tab:orange", angles="xy", scale_units="xy", scale=1
-    )
+    (x, _, z), (dx, _, dz) = place.T, move.T
+    axes.quiver(x, z, dx, dz, color="tab:orange", angles="xy", scale_units="xy", scale=1)
     # From above, x points to the left of a camera that looks upwards on the page.
     axes.invert_xaxis()
 
@@ -592,25 +570,16 @@ def draw_from_above(axes: Axes, volume: xr.DataArray, place: np.ndarray, move: n
 @picture
 def particles() -> Image.Image:
     """Show particles by waves and by rays, and from above those found again beside those that were there."""
-    camera = mp.PlenopticCamera(
-        focal_length=50,
-        aperture_radius=6.25,
-        focus_distance=100,
-        mla_pitch=0.125,
-        mla_focal_length=1.0,
-        detector_width=2.0,
-        resolution=(256, 256),
-    )
+    array = {"mla_pitch": 0.125, "mla_focal_length": 1.0, "detector_width": 2.0, "resolution": (256, 256)}
+    camera = mp.PlenopticCamera(focal_length=50, aperture_radius=6.25, focus_distance=100, **array)
     box = pt.ParticleVolume((-0.75, -0.75, 96), (0.75, 0.75, 104))
     flow = pt.HillVortex(speed=1.5, radius=3.0, axis="x", centre=(0, 0, 100))
     truth = pt.particle_sequence(camera, box, pt.Seeding(count=16, diameter=1), flow, interval=0.12, seed=3)
     captures = [pt.ParticleImages(truth, wavelength=550, model=model).capture(0) for model in ("wave", "ray")]
     grid = pt.VoxelGrid((-0.85, -0.85, 95), (0.85, 0.85, 105), (20, 28, 28))
-    volume = pt.reconstruct_volume(
-        pt.VoxelProjector(camera, grid, wavelength=550, window=pt.Window(96, 1.333), per_lens=2, budget=3.0),
-        captures[0],
-        grid,
-    )
+    window = pt.Window(96, 1.333)
+    projector = pt.VoxelProjector(camera, grid, wavelength=550, window=window, per_lens=2, budget=3.0)
+    volume = pt.reconstruct_volume(projector, captures[0], grid)
     plot = Plot(WIDTH, dpi=DPI)
     ((*pictures, axes),) = plot.panels(1, 3)
     for shown, capture, title in zip(pictures, captures, ("By waves", "By rays"), strict=True):
@@ -651,15 +620,12 @@ def fitting() -> Image.Image:
 
     pitch, (x, y) = 1e3 * found.camera.row_pitch, (1e3 * value for value in found.camera.mla_offset)
     print(f"fitting: pitch {pitch:.3f} um, offset ({x:.3f}, {y:.3f}) um; true: 64, (0, 0)")
-    return sheet(
-        [
-            [
-                ("Capture with noise, 4 x 4 lenses", to_bytes(np.sqrt(seen / seen.max()), 1.0)),
-                ("Nominal camera less capture", residual(nominal)),
-                ("Fitted camera less capture", residual(found.camera)),
-            ]
-        ]
-    )
+    panels = {
+        "Capture with noise, 4 x 4 lenses": to_bytes(np.sqrt(seen / seen.max()), 1.0),
+        "Nominal camera less capture": residual(nominal),
+        "Fitted camera less capture": residual(found.camera),
+    }
+    return sheet([list(panels.items())])
 
 
 @picture
@@ -726,15 +692,9 @@ def thumbnail(page: str) -> Image.Image:
     return ImageOps.expand(ImageOps.pad(image.crop(content), (464, 304), color="white"), 8, "white")
 
 
-CHOSEN = {
-    "refocusing_and_depth": 0,
-    "main_lenses": 0,
-    "rays_and_waves": 1,
-    "focused_cameras": 0,
-    "laser_light": 0,
-    "ordinary_camera": 0,
-    "particles": 0,
-}
+CHOSEN = {"rays_and_waves": 1} | dict.fromkeys(
+    ("refocusing_and_depth", "main_lenses", "focused_cameras", "laser_light", "ordinary_camera", "particles"), 0
+)
 """Pictures of notebooks that are not their last, from 0."""
 
 for _page in sorted((ROOT / "docs" / "guides" / "gallery").glob("*.md")):

@@ -166,17 +166,14 @@ def test_presets():
         mp.PlenopticCamera.preset("nikon")
 
 
-@pytest.mark.parametrize(
-    ("numbers", "wavelength", "words"),
-    [
-        (KEPLERIAN | {"resolution": (2048, 2048)}, 633, "undersamples the diffraction spot"),
-        ({"detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .*micrometres"),
-        ({"mla_lattice": "none", "detector_width": 819.2}, None, "ten focal lengths: .* micrometres"),
-        ({"mla_pitch": 64}, None, "pitch of the lenses is 64 mm: .* micrometres"),
-        ({"detector_width": 400, "mla_distance": 81}, None, "field of view spans 148.* degrees: .* micrometres"),
-        ({"detector_width": 400, "mla_distance": 500, "focal_length": 40}, None, "ten focal lengths: .* micrometres"),
-    ],
-)
+@pytest.mark.parametrize(("numbers", "wavelength", "words"), [
+    (KEPLERIAN | {"resolution": (2048, 2048)}, 633, "undersamples the diffraction spot"),
+    ({"detector_width": 819.2}, None, "a pixel is 0.2 mm wide: .*micrometres"),
+    ({"mla_lattice": "none", "detector_width": 819.2}, None, "ten focal lengths: .* micrometres"),
+    ({"mla_pitch": 64}, None, "pitch of the lenses is 64 mm: .* micrometres"),
+    ({"detector_width": 400, "mla_distance": 81}, None, "field of view spans 148.* degrees: .* micrometres"),
+    ({"detector_width": 400, "mla_distance": 500, "focal_length": 40}, None, "ten focal lengths: .* micrometres"),
+])  # fmt: skip
 def test_warnings(numbers, wavelength, words):
     found = mp.design.design_warnings(mp.PlenopticCamera(**numbers), wavelength)
     assert any(re.search(words, warning) for warning in found)

@@ -15,13 +15,9 @@ from mitsuba_plenoptic.report.sheet import design_sheet
 
 LENS = mp.Objective(40, 0.95, arrangement="fourier", fourier_focal_length=75)
 GUO = mp.PlenopticCamera(
-    main_lens=LENS,
-    mla_pitch=0.6,
-    mla_offset=(0.3, 0.3),
-    mla_focal_length=16.8,
-    detector_width=3.9,
+    main_lens=LENS, mla_pitch=0.6, mla_offset=(0.3, 0.3), mla_focal_length=16.8, detector_width=3.9,
     resolution=(600, 600),
-)
+)  # fmt: skip
 
 
 def stopped(camera, **changes):
@@ -44,16 +40,13 @@ def test_the_published_microscope_performs_as_published():
     assert design.depth_step(stopped(GUO, numerical_aperture=0.3), 680) == math.inf
 
 
-@pytest.mark.parametrize(
-    ("lattice", "shape", "rotation", "apart"),
-    [
-        ("square", "disc", 0, 1),
-        ("square", "square", 0, 1),
-        ("square", "square", 45, math.sqrt(0.5)),
-        ("hexagonal", "disc", 20, 1),
-        ("hexagonal", "square", 0, math.sqrt(0.75)),
-    ],
-)
+@pytest.mark.parametrize(("lattice", "shape", "rotation", "apart"), [
+    ("square", "disc", 0, 1),
+    ("square", "square", 0, 1),
+    ("square", "square", 45, math.sqrt(0.5)),
+    ("hexagonal", "disc", 20, 1),
+    ("hexagonal", "square", 0, math.sqrt(0.75)),
+])  # fmt: skip
 def test_micro_images_touch_by_the_lattice_and_the_shape_of_the_field_stop(lattice, shape, rotation, apart):
     camera = stopped(GUO, field_stop_shape=shape).replace(mla_lattice=lattice, mla_rotation=rotation)
     stop = 75 * 0.6 * apart / (2 * 16.8)

@@ -145,17 +145,14 @@ COLOURS = np.stack([RAMP, RAMP / 2, RAMP / 4], -1)
 FOUR = mp.PlenopticCamera(detector_width=0.256, resolution=(64, 64))
 
 
-@pytest.mark.parametrize(
-    ("numbers", "options", "expected"),
-    [
-        (RAMP.astype("f4"), {}, RAMP),
-        ((4000 * RAMP).astype("f8"), {}, 4000 * RAMP),
-        ((RAMP * 65535).astype(">u2"), {"byteorder": ">"}, (RAMP * 65535).astype("u2") / 65535),
-        ((RAMP * 1e9).astype("u4"), {"bigtiff": True}, (RAMP * 1e9).astype("u4") / (2**32 - 1)),
-        ((RAMP * 255).astype("u1"), {"photometric": "miniswhite"}, 1 - (RAMP * 255).astype("u1") / 255),
-        (np.moveaxis(COLOURS, 2, 0).astype("f4"), {"photometric": "rgb", "planarconfig": "separate"}, COLOURS),
-    ],
-)
+@pytest.mark.parametrize(("numbers", "options", "expected"), [
+    (RAMP.astype("f4"), {}, RAMP),
+    ((4000 * RAMP).astype("f8"), {}, 4000 * RAMP),
+    ((RAMP * 65535).astype(">u2"), {"byteorder": ">"}, (RAMP * 65535).astype("u2") / 65535),
+    ((RAMP * 1e9).astype("u4"), {"bigtiff": True}, (RAMP * 1e9).astype("u4") / (2**32 - 1)),
+    ((RAMP * 255).astype("u1"), {"photometric": "miniswhite"}, 1 - (RAMP * 255).astype("u1") / 255),
+    (np.moveaxis(COLOURS, 2, 0).astype("f4"), {"photometric": "rgb", "planarconfig": "separate"}, COLOURS),
+])  # fmt: skip
 def test_samples_of_tiff_mean_what_they_say(tmp_path, numbers, options, expected):
     tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
     np.testing.assert_allclose(read_picture(tmp_path / "a.tiff", linear=True), expected, rtol=1e-6)

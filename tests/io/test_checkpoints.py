@@ -21,7 +21,6 @@ from mitsuba_plenoptic.io import checkpoints
 from mitsuba_plenoptic.waves import phase_space, scheme, signed_rays
 
 SMALL = small_camera(4, **HALF)
-SCENE = letters(4, resolution=64)
 
 
 class Trap:
@@ -35,7 +34,7 @@ class Trap:
 
 def render(checkpoint=None, parameters=None, **options):
     """Render the capture by waves, or one a little different from it."""
-    scene = load_scene("letters", parameters=SCENE | (parameters or {}))
+    scene = load_scene("letters", parameters=letters(4, resolution=64) | (parameters or {}))
     return render_capture(scene, checkpoint=checkpoint, **{"model": "wave", "method": "points", "spp": 16} | options)
 
 
@@ -126,17 +125,14 @@ def rewritten(content, change):
     return buffer.getvalue()
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda header, _: header.update(format=3), "another run: format = 3 there, 1 here"),
-        (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
-        (lambda header, _: header.update(batches=10**6), "1000000 batches"),
-        (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1)"),
-        (lambda _, arrays: arrays.pop("image"), "is damaged"),
-        (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
-    ],
-)
+@pytest.mark.parametrize(("change", "words"), [
+    (lambda header, _: header.update(format=3), "another run: format = 3 there, 1 here"),
+    (lambda header, _: header["run"]["software"].update(mitsuba_plenoptic="0123"), "mitsuba_plenoptic = 0123"),
+    (lambda header, _: header.update(batches=10**6), "1000000 batches"),
+    (lambda _, arrays: arrays.update(image=np.zeros((1, 4, 1), np.float32)), "shape (1, 4, 1)"),
+    (lambda _, arrays: arrays.pop("image"), "is damaged"),
+    (lambda _, arrays: arrays.update(image=np.array([Trap()], dtype=object)), "is damaged: Object arrays"),
+])  # fmt: skip
 def test_what_a_checkpoint_says_is_checked(tmp_path, stopped, change, words):
     assert words in complaint(tmp_path, rewritten(stopped, change))
     assert not Trap.path.exists()

@@ -108,17 +108,14 @@ class TestCaptures:
         assert "title" in said
         assert all(character.isprintable() or character == "\n" for character in said)
 
-    @pytest.mark.parametrize(
-        ("part", "change", "words"),
-        [
-            (0, {"normal.X": 0}, "whole quantities"),
-            (1, {"shape_index.I": np.nan}, "whole number from 0 to 1"),
-            (None, {"views": [1, 2, 3]}, "views = "),
-            (None, {"views": [1, 2, 4, 10**9]}, "its part views has the shape"),
-            (None, {"shapes": "wall"}, "shapes = 'wall'"),
-            (None, {"kind": "capture"}, "it holds a 'capture', not ground truth"),
-        ],
-    )
+    @pytest.mark.parametrize(("part", "change", "words"), [
+        (0, {"normal.X": 0}, "whole quantities"),
+        (1, {"shape_index.I": np.nan}, "whole number from 0 to 1"),
+        (None, {"views": [1, 2, 3]}, "views = "),
+        (None, {"views": [1, 2, 4, 10**9]}, "its part views has the shape"),
+        (None, {"shapes": "wall"}, "shapes = 'wall'"),
+        (None, {"kind": "capture"}, "it holds a 'capture', not ground truth"),
+    ])  # fmt: skip
     def test_ground_truth_that_cannot_be(self, tmp_path, part, change, words):
         path, attributes = tmp_path / "a.truth.exr", {
             "kind": "ground truth", "camera": CAMERA.to_dict(), "views": [2, 2, 4, 4], "shapes": ["wall"],

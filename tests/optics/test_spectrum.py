@@ -79,17 +79,14 @@ def test_a_detector_of_narrow_filters(tmp_path):
     assert value == pytest.approx([0.1 / 1.5, 0], rel=0.01, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("wavelength,red\n", "rows"),
-        ("wavelength,red\n400,1\n400,2\n", "rising"),
-        ("wavelength,red\n400,1\n500,blue\n", "numbers"),
-        ("wavelength,red\n400,nan\n500,1\n", "row 1"),
-        ("wavelength,red\n400,0\n500,0\n", "channel 1"),
-        ("wavelength,red\n-400,1\n500,1\n", "wavelength = -400"),
-    ],
-)
+@pytest.mark.parametrize(("text", "message"), [
+    ("wavelength,red\n", "rows"),
+    ("wavelength,red\n400,1\n400,2\n", "rising"),
+    ("wavelength,red\n400,1\n500,blue\n", "numbers"),
+    ("wavelength,red\n400,nan\n500,1\n", "row 1"),
+    ("wavelength,red\n400,0\n500,0\n", "channel 1"),
+    ("wavelength,red\n-400,1\n500,1\n", "wavelength = -400"),
+])  # fmt: skip
 def test_tables_that_are_none(tmp_path, text, message):
     table = tmp_path / "sensor.csv"
     table.write_text(text)

@@ -16,8 +16,6 @@ WHITE = {"sky": {"type": "constant"}}
 PUPILS = {"hexagon": cases.polygon(6, 15.0), "square": cases.polygon(4, 0.0), "coded": cases.picture(CODE)}
 """Parameters and masks. The code has nothing that turning or mirroring would leave alike."""
 
-MIRRORED = (CODE[::-1], CODE[:, ::-1], CODE.T, CODE[::-1, ::-1])
-
 
 def ordinary(**given):
     thin = {"focal_length": 50.0, "focus_distance": 300.0, "aperture_radius": 8.0, "detector_width": 12.0}
@@ -79,7 +77,7 @@ def test_the_bokeh_of_a_lamp_is_the_picture_in_the_pupil(distance):
     expected = by_hand(camera, distance, distance / 200, distance / 120)
     assert cases.relative(image, expected) < 0.07
     assert image.sum() == pytest.approx(expected.sum(), rel=0.01)
-    for other in MIRRORED:
+    for other in (CODE[::-1], CODE[:, ::-1], CODE.T, CODE[::-1, ::-1]):
         wrong = render_capture(cases.scene_of(camera.replace(aperture_image=other).to_sensor(), **lamp), spp=64).image
         assert cases.relative(wrong, expected) > 0.3
     # Only the cell at +x is open.

@@ -139,17 +139,14 @@ def test_each_lens_of_a_fourier_microscope_forms_an_airy_pattern():
     assert 2 * edge == pytest.approx(1.029 * WAVELENGTH * 1e-6 * 20 / 0.5, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        {},
-        {"mla_lattice": "hexagonal", "mla_rotation": 8.0, "crop_offset": (250, 200), "crop_size": (300, 360)},
-        {"mla_medium": 1.5, "mla_fill": 0.8},
-        {"mla_focal_length": (20.0, 19.0, 21.5), "mla_lattice": "hexagonal", "mla_aperture": "circle"},
-        {"main_lens": replace(FOURIER, field_stop=0.6)},
-        {"main_lens": replace(FOURIER, field_stop=0.5, field_stop_shape="square")},
-    ],
-)
+@pytest.mark.parametrize("numbers", [
+    {},
+    {"mla_lattice": "hexagonal", "mla_rotation": 8.0, "crop_offset": (250, 200), "crop_size": (300, 360)},
+    {"mla_medium": 1.5, "mla_fill": 0.8},
+    {"mla_focal_length": (20.0, 19.0, 21.5), "mla_lattice": "hexagonal", "mla_aperture": "circle"},
+    {"main_lens": replace(FOURIER, field_stop=0.6)},
+    {"main_lens": replace(FOURIER, field_stop=0.5, field_stop_shape="square")},
+])  # fmt: skip
 def test_points_of_a_depth_share_a_full_field(numbers):
     """In and out of focus, on and off the axis; where the field stop cuts light, the power is right."""
     camera = fourier_camera(**numbers)

@@ -46,19 +46,15 @@ test_files_that_cannot_be_written = refused(
 
 
 RAMP = np.linspace(0.1, 0.9, 32).reshape(4, 8)
-LIES = np.zeros((3, 3), np.uint16)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "options", "words"),
-    [
-        (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
-        ((RAMP * 100).astype("i2"), {}, "int16"),
-        (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
-        ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
-        ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
-    ],
-)
+@pytest.mark.parametrize(("numbers", "options", "words"), [
+    (np.stack([RAMP] * 5).astype("f4"), {}, "it holds 5 pictures"),
+    ((RAMP * 100).astype("i2"), {}, "int16"),
+    (RAMP.astype("f4"), {"photometric": "miniswhite"}, "MINISWHITE, float32"),
+    ((RAMP * 100).astype("u1"), {"extratags": [(274, 3, 1, 6, True)]}, "orientation 6"),
+    ((RAMP[..., None].repeat(4, 2) * 9).astype("u1"), {"photometric": "separated"}, "SEPARATED"),
+])  # fmt: skip
 def test_other_tiff_are_refused(tmp_path, numbers, options, words):
     tifffile.imwrite(tmp_path / "a.tiff", numbers, **options)
     refuses(rf"a\.tiff: it cannot be read as a picture: it holds [^\n]*{words[-8:]}", read_picture, tmp_path / "a.tiff")
@@ -66,7 +62,7 @@ def test_other_tiff_are_refused(tmp_path, numbers, options, words):
 
 @pytest.mark.parametrize("text", ['{"mitsuba_plenoptic": {"camera": {}, "metadata": {"exposure": {}}}}', "{" * 9])
 def test_pictures_that_are_no_raw_captures(tmp_path, text):
-    tifffile.imwrite(tmp_path / "lies.tiff", LIES, description=text, metadata=None)
+    tifffile.imwrite(tmp_path / "lies.tiff", np.zeros((3, 3), np.uint16), description=text, metadata=None)
     (tmp_path / "broken.png").write_bytes(b"\x89PNG\r\n\x1a\nnothing")
     refuses(r"lies.tiff: ", read_capture, tmp_path / "lies.tiff")
     refuses(r"broken.png: it cannot be read as a picture", read_capture, tmp_path / "broken.png")

@@ -10,21 +10,18 @@ from mitsuba_plenoptic.views.white import white_image
 from refusals import refuses
 
 
-@pytest.mark.parametrize(
-    ("plugin", "parameters", "words"),
-    [
-        ("plenoptic", {"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty'"),
-        ("plenoptic", {"near_clip": 1.0}, "plenoptic: near_clip = 1"),
-        ("plenoptic", {"glass": "{1.5"}, "glass: .*JSON"),
-        ("plenoptic", {"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\)"),
-        ("plenoptic", {"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter .*<rfilter type="box"/>'),
-        ("plenoptic_wave", {"wavelength": "600, 500, 400"}, "llvm_ad_mono has 1 channel"),
-        ("plenoptic_wave", {"wavelenght": 3.0}, "plenoptic_wave: wavelenght: .*wavelength"),
-        ("plenoptic_wave", {"method": "magic"}, "method = 'magic'"),
-        ("plenoptic_wave", {"child": {"type": "ptracer"}}, "radiance along a ray"),
-        ("plenoptic_wave", {"child": {"type": "aov", "aovs": "d:depth"}}, "nested AOVIntegrator"),
-    ],
-)
+@pytest.mark.parametrize(("plugin", "parameters", "words"), [
+    ("plenoptic", {"focal_length": "eighty"}, "plenoptic: focal_length = 'eighty'"),
+    ("plenoptic", {"near_clip": 1.0}, "plenoptic: near_clip = 1"),
+    ("plenoptic", {"glass": "{1.5"}, "glass: .*JSON"),
+    ("plenoptic", {"mla_offset": [1.0, 2.0, 3.0]}, r"plenoptic: mla_offset = \(1.0, 2.0, 3.0\)"),
+    ("plenoptic", {"film": {"rfilter": {"type": "gaussian"}}}, 'GaussianFilter .*<rfilter type="box"/>'),
+    ("plenoptic_wave", {"wavelength": "600, 500, 400"}, "llvm_ad_mono has 1 channel"),
+    ("plenoptic_wave", {"wavelenght": 3.0}, "plenoptic_wave: wavelenght: .*wavelength"),
+    ("plenoptic_wave", {"method": "magic"}, "method = 'magic'"),
+    ("plenoptic_wave", {"child": {"type": "ptracer"}}, "radiance along a ray"),
+    ("plenoptic_wave", {"child": {"type": "aov", "aovs": "d:depth"}}, "nested AOVIntegrator"),
+])  # fmt: skip
 def test_parameters_of_plugins(camera_dict, plugin, parameters, words):
     sensor = camera_dict(**(parameters if plugin == "plenoptic" else {}))
     with pytest.raises(RuntimeError, match=words):
@@ -94,16 +91,13 @@ MOMENT = {"type": "moment", "p": {"type": "path"}}
 MEDIUM = {"medium": {"type": "homogeneous"}}
 
 
-@pytest.mark.parametrize(
-    ("integrator", "camera", "words"),
-    [
-        ({"type": "ptracer"}, {}, "^plenoptic: light tracing"),
-        ({"type": "prbvolpath"}, MEDIUM, "prbvolpath ignores the medium"),
-        (MOMENT, {"detector_blur": 0.01}, "^plenoptic: output m2_p.Z: .*detector_blur"),
-        ({"type": "plenoptic_wave"}, {"film": {"pixel_format": "luminance_alpha"}}, "^film: it has 2 channels"),
-        ({"type": "moment", "wave": {"type": "plenoptic_wave"}}, {}, "plenoptic_wave: .*nested"),
-    ],
-)
+@pytest.mark.parametrize(("integrator", "camera", "words"), [
+    ({"type": "ptracer"}, {}, "^plenoptic: light tracing"),
+    ({"type": "prbvolpath"}, MEDIUM, "prbvolpath ignores the medium"),
+    (MOMENT, {"detector_blur": 0.01}, "^plenoptic: output m2_p.Z: .*detector_blur"),
+    ({"type": "plenoptic_wave"}, {"film": {"pixel_format": "luminance_alpha"}}, "^film: it has 2 channels"),
+    ({"type": "moment", "wave": {"type": "plenoptic_wave"}}, {}, "plenoptic_wave: .*nested"),
+])  # fmt: skip
 def test_scenes_are_loaded_only_if_their_integrator_can_render_their_camera(integrator, camera, words, camera_dict):
     """Once it renders, the last line of an error is Mitsuba's."""
     described = {"type": "scene", "integrator": integrator, "camera": camera_dict(resolution=16, **camera)}

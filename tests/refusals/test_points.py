@@ -127,17 +127,14 @@ def test_more_memory_than_allowed_is_refused_with_the_estimate(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:a surface touches")
-@pytest.mark.parametrize(
-    ("objects", "words"),
-    [
-        ({"sky": {"type": "constant"}}, "emitter .* infinitely far"),
-        ({"pane": pane(PANES["half-open mask"])}, "pane of type MaskBSDF"),
-        ({"fog": pane({"type": "diffuse"}) | {"type": "cube", "interior": THIN_FOG}}, "surface fog"),
-        ({"integrator": {"type": "path", "hide_emitters": True}}, "hide_emitters"),
-        ({"camera": sensor(2, 8, medium=THIN_FOG)}, "sensor is in a medium"),
-        ({"camera": sensor(2, 8, shutter_open=0.0, shutter_close=1.0)}, "shutter is open for 1"),
-    ],
-)
+@pytest.mark.parametrize(("objects", "words"), [
+    ({"sky": {"type": "constant"}}, "emitter .* infinitely far"),
+    ({"pane": pane(PANES["half-open mask"])}, "pane of type MaskBSDF"),
+    ({"fog": pane({"type": "diffuse"}) | {"type": "cube", "interior": THIN_FOG}}, "surface fog"),
+    ({"integrator": {"type": "path", "hide_emitters": True}}, "hide_emitters"),
+    ({"camera": sensor(2, 8, medium=THIN_FOG)}, "sensor is in a medium"),
+    ({"camera": sensor(2, 8, shutter_open=0.0, shutter_close=1.0)}, "shutter is open for 1"),
+])  # fmt: skip
 def test_scenes_that_are_no_matte_surfaces_are_refused_by_name(objects, words):
     wall = facing(240.0, 60.0, **radiating())
     described = {"type": "scene", "integrator": {"type": "path"}, "camera": sensor(2, 8), "wall": wall}
@@ -166,16 +163,13 @@ test_spectra_are_refused = refused(
 )
 
 
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (5320, "wavelength = 5320: .*angstroms, 532 nm"),
-        (0.633, "wavelength = 0.633: .*micrometres, 633 nm"),
-        (633e-9, "wavelength = 6.33e-07: .*metres, 633 nm"),
-        (150, "wavelength = 150: .*200 to 2500 nm"),
-        ("633", "wavelength = '633'"),
-    ],
-)
+@pytest.mark.parametrize(("given", "words"), [
+    (5320, "wavelength = 5320: .*angstroms, 532 nm"),
+    (0.633, "wavelength = 0.633: .*micrometres, 633 nm"),
+    (633e-9, "wavelength = 6.33e-07: .*metres, 633 nm"),
+    (150, "wavelength = 150: .*200 to 2500 nm"),
+    ("633", "wavelength = '633'"),
+])  # fmt: skip
 def test_wavelengths_in_other_units(given, words):
     refuses(words, Spectrum, (given,), ((1.0,),))
     refuses(words, spread, wavelength=given)

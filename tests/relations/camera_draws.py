@@ -23,14 +23,9 @@ from mitsuba_plenoptic.camera.support import entries_at
 LENSES = 8
 
 BASE = {
-    "focal_length": 1,
-    "aperture_radius": 1,
-    "mla_distance": 1,
-    "mla_focal_length": 1,
-    "mla_pitch": 1,
-    "detector_width": 1,
-    "resolution": 0,
-}
+    "focal_length": 1, "aperture_radius": 1, "mla_distance": 1, "mla_focal_length": 1, "mla_pitch": 1,
+    "detector_width": 1, "resolution": 0,
+}  # fmt: skip
 """Exponents of the unit of length in parameters that all draws state."""
 
 Values = dict[str, Any]
@@ -43,14 +38,10 @@ def base(rng: np.random.Generator) -> Values:
     f_number, distance = float(rng.choice([6, 8, 12])), float(rng.choice([56, 60, 66]))
     pitch = pixels * pixel
     return {
-        "focal_length": 40.0,
-        "aperture_radius": distance / f_number / 2,
-        "mla_distance": distance,
-        "mla_focal_length": pitch * f_number,
-        "mla_pitch": pitch * distance / (distance + pitch * f_number),
-        "detector_width": LENSES * pitch,
-        "resolution": (LENSES * pixels,) * 2,
-    }
+        "focal_length": 40.0, "aperture_radius": distance / f_number / 2, "mla_distance": distance,
+        "mla_focal_length": pitch * f_number, "mla_pitch": pitch * distance / (distance + pitch * f_number),
+        "detector_width": LENSES * pitch, "resolution": (LENSES * pixels,) * 2,
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -94,14 +85,6 @@ def _lens(rng: np.random.Generator, values: Values) -> Values:
     }
 
 
-def _lens_dimension(lens: Any, s: float) -> Any:
-    return replace(lens, tube_focal_length=s * lens.tube_focal_length) if isinstance(lens, mp.Objective) else lens
-
-
-def _response(rng: np.random.Generator, values: Values) -> tuple[float, ...]:
-    return _floats([0, 1, 5, rng.uniform(0.7, 1), 15, rng.uniform(0.2, 0.7)])
-
-
 def _vignetting(rng: np.random.Generator, values: Values) -> mp.Vignetting:
     return mp.Vignetting(
         radius=[float(rng.uniform(0.8, 1)), *rng.uniform(-0.1, 0.1, 5).tolist()],
@@ -128,7 +111,8 @@ def _warp(rng: np.random.Generator, values: Values) -> tuple[float, ...]:
 
 
 OPTIONS = {
-    "main_lens": Option(_lens, _lens_dimension),
+    "main_lens": Option(_lens, lambda lens, s: replace(
+        lens, tube_focal_length=s * lens.tube_focal_length) if isinstance(lens, mp.Objective) else lens),
     "mla_lattice": Option(lambda rng, v: str(rng.choice(["hexagonal", "hexagonal", "none"]))),
     "focus_distance": Option(
         lambda rng, v: {"focus_distance": float(rng.uniform(110, 140)), "mla_distance": None}, 1
@@ -179,7 +163,7 @@ OPTIONS = {
     "stray_light": Option(lambda rng, v: float(rng.uniform(0, 0.3)) if rng.random() < 0.7 else mp.StrayLight(
         rng.uniform(0, 0.3, (3, 3)))),
     "stray_width": Option(lambda rng, v: {"stray_width": float(rng.uniform(3, 10)) * _pixel(v), "stray_light": 0.2}, 1),
-    "pixel_response": Option(_response),
+    "pixel_response": Option(lambda rng, v: _floats([0, 1, 5, rng.uniform(0.7, 1), 15, rng.uniform(0.2, 0.7)])),
     "glass": Option(lambda rng, v: {"glass": {"index": 1.5168, "abbe": float(rng.uniform(30, 65))}}),
     "mla_glass": Option(lambda rng, v: {"mla_glass": {"index": 1.49, "abbe": float(rng.uniform(30, 60))}}),
 }  # fmt: skip

@@ -237,16 +237,13 @@ def test_without_cupy_waves_on_cuda_are_refused_with_the_remedy(monkeypatch):
         _backend._cuda()
 
 
-@pytest.mark.parametrize(
-    "mistake",
-    [
-        lambda _, array: np.asarray(array),
-        lambda _, array: array[np.arange(2)],
-        lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3)),
-        lambda libraries, _: libraries.transforms.set_workers,
-        lambda _, array: array.tolist(),
-    ],
-)
+@pytest.mark.parametrize("mistake", [
+    lambda _, array: np.asarray(array),
+    lambda _, array: array[np.arange(2)],
+    lambda libraries, array: libraries.arrays.multiply(array, array, out=np.ones(3)),
+    lambda libraries, _: libraries.transforms.set_workers,
+    lambda _, array: array.tolist(),
+])  # fmt: skip
 def test_the_stand_in_refuses_to_mix_lacks_what_cupy_lacks_and_counts_what_leaves(mistake):
     stand_in = device_stand_in.StandIn()
     with pytest.raises((TypeError, AttributeError)):

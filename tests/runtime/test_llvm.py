@@ -99,16 +99,13 @@ def test_unusable_llvm_raises_when_used_and_not_on_import(old, python, tmp_path)
 GOOD, BAD = (llvm.Library(Path("/x.so"), (version,)) for version in (19, 16))
 
 
-@pytest.mark.parametrize(
-    ("loaded", "named", "found", "words"),
-    [
-        (None, None, [], ["no LLVM 17 or newer was found", "run: INSTALL"]),
-        ("LLVM 15.0.6", None, [GOOD], ["Dr.Jit loaded LLVM 15.0.6, ", "or set NAMED=/x.so"]),
-        (None, "/none", [GOOD], ["NAMED = '/none': there is no such file; unset the variable, and /x.so is used"]),
-        (None, "/none", [BAD], ["NAMED = '/none': there is no such file; unset the variable and run: INSTALL"]),
-        (None, __file__, [], [f"NAMED = {__file__!r}: it is not an LLVM library that loads, ", "run: INSTALL"]),
-    ],
-)
+@pytest.mark.parametrize(("loaded", "named", "found", "words"), [
+    (None, None, [], ["no LLVM 17 or newer was found", "run: INSTALL"]),
+    ("LLVM 15.0.6", None, [GOOD], ["Dr.Jit loaded LLVM 15.0.6, ", "or set NAMED=/x.so"]),
+    (None, "/none", [GOOD], ["NAMED = '/none': there is no such file; unset the variable, and /x.so is used"]),
+    (None, "/none", [BAD], ["NAMED = '/none': there is no such file; unset the variable and run: INSTALL"]),
+    (None, __file__, [], [f"NAMED = {__file__!r}: it is not an LLVM library that loads, ", "run: INSTALL"]),
+])  # fmt: skip
 def test_explanations(loaded, named, found, words, monkeypatch):
     monkeypatch.setattr(llvm, "install_command", lambda: "INSTALL")
     said = llvm.explain(loaded, named, found)

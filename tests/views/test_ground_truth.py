@@ -59,12 +59,6 @@ def view_rays(camera, lf):
     return pupil, (np.stack([s, t]) - pupil) / camera.focus_distance
 
 
-def depth_of_plane(pupil, slope, point, normal):
-    """Axial distance at which rays (x, y) from the pupil meet a plane."""
-    (nx, ny, nz), (x, y) = normal, pupil
-    return (point @ normal - nx * x - ny * y) / (nx * slope[0] + ny * slope[1] + nz)
-
-
 def depth_of_ball(pupil, slope, centre, radius):
     """Axial distance of the near side of a ball, infinite where rays miss it."""
     ox, oy, oz = pupil[0] - centre[0], pupil[1] - centre[1], -centre[2]
@@ -97,7 +91,9 @@ def test_a_ball_before_a_plane_in_closed_form(part, camera, tmp_path):
     closed = np.hypot(*pupil) > camera.aperture_radius + 1e-3
     assert np.isnan(found["depth"][closed]).all() and not found["shape_index"][closed].any()
     middle, normal = np.array([0.3, 0, 262]), np.array([0.5, 0, -math.sqrt(0.75)])
-    plane = depth_of_plane(pupil, slope, middle, normal)
+    # Axial distance at which rays from the pupil meet the plane.
+    along, across = (np.tensordot(normal[:2], part, 1) for part in (slope, pupil))
+    plane = (middle @ normal - across) / (along + normal[2])
     beside = np.stack([*(pupil + plane * slope), plane], axis=-1) - middle
     # How far within its edges the plane is met.
     within = np.minimum(0.7 - np.abs(beside @ (math.sqrt(0.75), 0, 0.5)), 2 - np.abs(beside[..., 1]))

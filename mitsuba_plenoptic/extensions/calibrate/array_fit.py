@@ -81,8 +81,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
     reach = np.abs(target).max()
     nearest = index[np.hypot(*target.T).argmin()]
     steps = index - nearest
-    matrix = np.column_stack([np.ones(len(steps)), steps])
-    middle, along, across = np.linalg.lstsq(matrix, target)[0]
+    middle, along, across = np.linalg.lstsq(np.column_stack([np.ones(len(steps)), steps]), target)[0]
     pitch = math.hypot(*along)
     row = np.linalg.det([along, across]) / pitch
     start = [pitch, row, math.atan2(along[1], along[0]), *middle]

@@ -133,8 +133,7 @@ def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
     # Their x and y are ours reversed. A lens near the axis is our lens (0, 0).
     step = rotation @ np.diag([pitches[0], pitches[1] * math.sqrt(0.75), 0.0])
     j = 2 * round(count[1] / 4)
-    i = round(count[0] / 2)
-    centre = -(step @ [i + 0.5, j, 0] + [x1, y1, 0])[:2]
+    centre = -(step @ [round(count[0] / 2) + 0.5, j, 0] + [x1, y1, 0])[:2]
     tilt = np.rad2deg(np.arctan([-rotation[2, 0], -rotation[2, 1]]))
     numbers = [
         f,

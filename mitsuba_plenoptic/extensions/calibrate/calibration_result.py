@@ -297,8 +297,7 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
     """
     count = len(NAMES)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
-    rows = np.concatenate(blocks)
-    scale = np.sqrt((rows[:, :count] ** 2).sum(0))
+    scale = np.sqrt((np.concatenate(blocks)[:, :count] ** 2).sum(0))
     blocks = [block / np.append(scale, 1.0) for block in blocks]
     row_counts = 2 * np.bincount(problem.corners.pose, weights > 0)
     squares = (weights[:, None] * problem.residuals(fit.numbers, fit.poses) ** 2).sum()

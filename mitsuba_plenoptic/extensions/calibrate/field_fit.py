@@ -175,8 +175,7 @@ def pixels_of_cells(camera: PlenopticCamera, position: Array, good: Array) -> tu
     to_array = camera.pixel_size / camera.image_growth
     half = int(np.ceil(lattice.cell_reach / to_array)) + 1
     pixel = np.rint(position)[..., None] + np.arange(-half, half + 1)
-    middle = lattice.centre(0.0, 0.0)
-    x, y = ((pixel - position[..., None]) * to_array + np.reshape(middle, (2, 1))).swapaxes(0, 1)
+    x, y = ((pixel - position[..., None]) * to_array + np.reshape(lattice.centre(0.0, 0.0), (2, 1))).swapaxes(0, 1)
     inside = (pixel >= 0) & (pixel < np.reshape(good.shape[::-1], (2, 1)))
     i, j = lattice.cell(x[:, None], y[..., None])
     lens, row, column = np.nonzero((i == 0) & (j == 0) & inside[:, :1] & inside[:, 1, :, None])
@@ -205,8 +204,7 @@ class WhiteRecording:
     def beside(self, position: Array, field: FieldNumbers) -> LensPixels:
         """Return the pixels of a zone's lenses at places (n, 2) beside the model."""
         first, value, x, y = self.pixels(position)
-        count = np.diff(first)
-        lens = np.repeat(np.arange(len(position)), count)
+        lens = np.repeat(np.arange(len(position)), np.diff(first))
         at_lens = field.values(position)
         at_zone = field.values(position.mean(0)[None])[0]
         numbers = PupilNumbers(*at_zone)

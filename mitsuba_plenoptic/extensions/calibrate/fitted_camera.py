@@ -51,8 +51,7 @@ def fitted_camera(
     if camera.objective is None:
         return camera.replace(aperture_radius=camera.aperture_radius * wider, **changes)
     aperture = camera.objective.numerical_aperture * wider
-    objective = replace(camera.objective, numerical_aperture=aperture)
-    return camera.replace(main_lens=objective, **changes)
+    return camera.replace(main_lens=replace(camera.objective, numerical_aperture=aperture), **changes)
 
 
 def _transmissions(camera: PlenopticCamera, array: ArrayFit, lens: Array, light: Array) -> LensTransmissions:

@@ -223,8 +223,7 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return positions on boards, (n, 2), in the camera frame, (n, 3), with the pose of each row."""
     flat = np.concatenate([positions, np.zeros((len(positions), 1))], axis=1)
-    rotated = Rotation.from_rotvec(poses[pose, :3]).apply(flat)
-    return rotated + poses[pose, 3:]
+    return Rotation.from_rotvec(poses[pose, :3]).apply(flat) + poses[pose, 3:]
 
 
 def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[LensIndex, np.ndarray]:
@@ -232,7 +231,6 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
 
     Shapes: `middle` (2,); the result (3, 2).
     """
-    pixel = table.pixel
     best = None
     other_error = np.inf
     for odd_rows in (-0.5, 0.0, 0.5):
@@ -242,7 +240,7 @@ def find_lens_index(table: Table, hexagonal: bool, middle: np.ndarray) -> tuple[
             np.linalg.matrix_rank(matrix) < 3,
             f"{table.name}: all lenses lie on one line; corners of at least two rows are needed",
         )
-        grid, distance, good = robust_lines(both_axes(matrix), pixel)
+        grid, distance, good = robust_lines(both_axes(matrix), table.pixel)
         grid = grid.reshape(2, 3).T
         error = float(np.sqrt((distance[good] ** 2).mean()))
         if hexagonal != bool(odd_rows):

@@ -58,10 +58,10 @@ def start_values(
     z = f / per_z
     numbers = np.zeros(len(NAMES))
     numbers[:3] = f, b, z
-    pitches = np.hypot(*grid[1:].T) * size / (1 + z / b)
-    numbers[3:5] = pitches / [1, problem.row_ratio]
+    shrunk = size / (1 + z / b)
+    numbers[3:5] = np.hypot(*grid[1:].T) * shrunk / [1, problem.row_ratio]
     numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
-    numbers[OFFSET] = (grid[0] - principal) * size / (1 + z / b)
+    numbers[OFFSET] = (grid[0] - principal) * shrunk
     numbers[PRINCIPAL] = principal
     groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
     chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
@@ -71,7 +71,7 @@ def start_values(
         fit = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
         fit = adjust(thinned, fit.numbers, adjust_poses(thinned, fit.numbers, fit.poses, np.ones(len(few))), NAMES[:3])
         error = np.sqrt(2 * fit.cost / len(few))
-        failure = f"start values miss the corners by {error:.3g} pixels" if not error < 20.0 else ""
+        failure = "" if error < 20.0 else f"start values miss the corners by {error:.3g} pixels"
     except InputError:
         failure = "no camera sees the whole board in all poses"
     if failure:

@@ -92,8 +92,7 @@ def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centr
     images = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
     first = grid.centres()
     radius = grid.nearest_distance / 2
-    size = np.array(images[0].shape[::-1])
-    inside = ((first > radius + 1) & (first < size - radius - 1)).all(-1)
+    inside = ((first > radius + 1) & (first < np.array(images[0].shape[::-1]) - radius - 1)).all(-1)
     lens = np.indices(grid.shape)[::-1, inside].T
     start = first[inside]
     vectors = first[[0, 1], [1, 0]] - first[0, 0]

@@ -155,17 +155,14 @@ def fit_white(
     # What all lenses have alike is told best where the field is known, which then follows.
     recording.fit(position, zones, field, quarter(1))
     recording.fit_shape(position, zones, field)
-    equations = recording.fit(position, zones, field, quarter(1))
-    deviations = field.deviations(equations, generator)
-    everything = zones_of(position, np.ones(len(position), bool))
-    judged = recording.judged(position, everything, field, quarter(2))
+    deviations = field.deviations(recording.fit(position, zones, field, quarter(1)), generator)
+    judged = recording.judged(position, zones_of(position, np.ones(len(position), bool)), field, quarter(2))
     # Places become those of the array alone, fitted to lenses that are not withheld.
     array = fit_array(judged.place[~withheld], lens[~withheld], camera)
     for name in ("centre_x", "centre_y"):
         field.coefficients[name] = np.zeros_like(field.coefficients[name])
     at_array = places(array, lens, camera)
-    tested = zones_of(at_array, withheld)
-    judgement = recording.judged(at_array, tested, field, quarter(3))
+    judgement = recording.judged(at_array, zones_of(at_array, withheld), field, quarter(3))
     refuse_if(
         judgement.structure > 0.035 or judgement.outliers > 0.05,
         f"white: its micro-images differ from those of something evenly white by {judgement.structure:.1%} of their "
@@ -204,8 +201,7 @@ def whole_lenses(recording: WhiteRecording, position: Array) -> Array:
     complete = np.asarray(((corners >= 0) & (corners <= recording.frame.light.shape[::-1])).all((1, 2)))
     first, value, _, _ = recording.pixels(position[complete])
     pixels = np.diff(first)
-    lens = np.repeat(np.arange(len(pixels)), pixels)
-    light = np.bincount(lens, value, len(pixels)) / np.maximum(pixels, 1)
+    light = np.bincount(np.repeat(np.arange(len(pixels)), pixels), value, len(pixels)) / np.maximum(pixels, 1)
     complete[complete] = (pixels >= 0.5 * camera.lattice.cell_area * scale**2) & (light > 0.1 * np.median(light))
     return complete
 

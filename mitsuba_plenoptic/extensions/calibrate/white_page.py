@@ -66,11 +66,10 @@ def white_figure(fit: WhiteFit) -> plots.Plot:
     mesh = plots.show_difference(upper[2], difference, 0.06)
     plots.annotate(upper[2], title=f"Difference, {np.sqrt((difference**2).mean()):.1%} RMS")
     plot.colour_bar(mesh, upper[2], "of the light in the middle")
-    reach = fit.camera.micro_image_pitch / fit.camera.pixel_size
     middle = len(fit.judgement.difference) // 2
-    half = round(reach)
-    window = np.s_[middle - half : middle + half + 1, middle - half : middle + half + 1]
-    plots.show_difference(lower[0], fit.judgement.difference[window], 0.03)
+    half = round(fit.camera.micro_image_pitch / fit.camera.pixel_size)
+    span = slice(middle - half, middle + half + 1)
+    plots.show_difference(lower[0], fit.judgement.difference[span, span], 0.03)
     plots.annotate(
         lower[0], title=f"Mean micro-image, {fit.judgement.mean_image:.2%} RMS", foot="colours twice as strong"
     )
@@ -97,10 +96,8 @@ def _profile(axes: Axes, fit: WhiteFit, recorded: Array, simulated: Array) -> No
     edges = np.arange(0, 0.6 * fit.camera.micro_image_pitch / fit.camera.pixel_size, 0.5)
     counts = np.maximum(np.histogram(distance, edges)[0], 1)
     axes.set_frame_on(True)
-    for image, style, colour, name in (
-        (recorded, "o", "#d1495b", "recorded"),
-        (simulated, "-", plots.INK, "simulated"),
-    ):
+    images = {"recorded": (recorded, "o", "#d1495b"), "simulated": (simulated, "-", plots.INK)}
+    for name, (image, style, colour) in images.items():
         mean = np.histogram(distance, edges, weights=image / bright)[0] / counts
         axes.plot(edges[:-1] + 0.25, mean, style, color=colour, markersize=4, label=name)
     axes.set(xlim=(0, edges[-1]), xticks=np.arange(0, edges[-1], 4), yticks=np.linspace(0, 1, 6))

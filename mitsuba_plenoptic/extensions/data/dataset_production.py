@@ -77,8 +77,7 @@ def make_dataset(
     folder = Path(folder).absolute()
     _try_scenes(recipe)
     with locked(folder / LOCK, f"{folder}: another process is making this data set"):
-        layout = claim(folder, recipe)
-        _produce(recipe, layout, batch_map, progress)
+        _produce(recipe, claim(folder, recipe), batch_map, progress)
         data_set = DataSet(folder)
         write_preview(folder / PREVIEW, data_set)
         write_card(folder / CARD, recipe, data_set)
@@ -210,15 +209,13 @@ def write_card(path: Path, recipe: Recipe, data_set: DataSet) -> None:
     """Write the data card of a data set as Markdown."""
     lines = ["| array | shape | meaning |", "|---|---|---|"]
     first = data_set[0]
-    meanings = first.facts.get("arrays", {})
+    meanings = _MEANINGS | first.facts.get("arrays", {})
     for name, array in sorted(first.arrays.items()):
         base = name.removeprefix("views_")
         if name in meanings:
             meaning = meanings[name]
         elif base != name:
             meaning = f"the same as `{base}`, of the samples of the views"
-        elif name in _MEANINGS:
-            meaning = _MEANINGS[name]
         else:
             capture = max((model_array for model_array in _MEANINGS if name.startswith(f"{model_array}_")), key=len)
             meaning = f"sums of the pixels of `{capture}` below each lens that lie {name[len(capture) + 1 :]}"
@@ -273,5 +270,5 @@ def inverse_distance(depth: Array) -> Array:
     if not finite.any():
         return inverse
     low = inverse[finite].min()
-    high = inverse[finite].max()
-    return np.asarray(np.where(finite, 0.1 + 0.9 * (inverse - low) / max(high - low, 1e-12), 0), np.float32)
+    extent = np.ptp(inverse[finite])
+    return np.asarray(np.where(finite, 0.1 + 0.9 * (inverse - low) / max(extent, 1e-12), 0), np.float32)

@@ -221,7 +221,7 @@ class Shapes:
         }
 
 
-GENERATORS: dict[str, type[SceneGenerator]] = {"shapes": Shapes}
+GENERATORS = {"shapes": Shapes}
 """Generators of this extension by the names that recipes call them."""
 
 

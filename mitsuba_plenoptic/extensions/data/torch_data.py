@@ -42,7 +42,7 @@ class TorchDataset(torch.utils.data.Dataset):
         if isinstance(index, slice):
             raise TypeError(f"sample {index}: give a whole number; torch.utils.data.Subset takes several")
         sample = self.samples[index]
-        tensors: dict[str, Any] = {
+        tensors = {
             name: torch.from_numpy(np.ascontiguousarray(np.moveaxis(array, -1, 0)) if array.ndim == 3 else array)
             for name, array in sample.arrays.items()
         }

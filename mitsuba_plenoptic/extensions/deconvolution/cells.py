@@ -80,7 +80,7 @@ class BinCells:
         steps = np.array([[types, 0], [0 if types == 1 else 1, 1]])
         # The two vectors (rows) by which cells repeat, on the MLA in millimetres, and in samples of the grid.
         self.vectors = steps.astype(np.float64) @ np.array(camera.lattice.basis)
-        self.samples: Integers = steps @ grid.lens_samples
+        self.samples = steps @ grid.lens_samples
         # Samples of a cell, bins of a cell, and millimetres of a bin on the MLA, along x and y. A side of a bin is at
         # most the pitch along the rows over `oversample`.
         self.size = int(self.samples[0, 0]), int(self.samples[1, 1])

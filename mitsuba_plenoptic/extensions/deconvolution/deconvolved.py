@@ -4,8 +4,6 @@ It stops where only noise is left in the residual, weighted by the variances of 
 residual over noise hardly falls any more.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -56,7 +54,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
                 distance in task.distances[:index],
                 f"distance = {distance:g}: it is given twice; the planes of a volume are different ones",
             )
-    arrays: Mapping[str, NDArray[Any]] = {}
+    arrays = {}
     if task.checkpoint:
         begun = task.checkpoint.begin_arrays(
             capture=digest(task.image),
@@ -206,7 +204,7 @@ def _solve(
         if task.checkpoint:
             task.checkpoint.save_arrays(lambda: {"solved": facts, **images, **state.arrays()})
 
-    operator: LinearMap = response
+    operator = response
     if task.white is not None:
         operator = _Flat(response, flat_field(response, task.white[..., channel]))
     elif task.computed is not None:

@@ -11,8 +11,6 @@ Bins lie on a grid `oversample` times as fine as the pixels, in the pictures und
 within a pixel share one kernel, so that a plane has as many kernels as there are bins in a pixel.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence
@@ -60,9 +58,8 @@ class FourierResponse(StoredResponse):
         # Bins are ordered as in a lens's picture.
         self._windows = [(slice(None, None, -1),) * 2] * len(distances)
         super().__init__((len(distances) * rows * columns,), camera.shape)
-        bins = np.array(camera.bin_count)
-        pixels = np.array(camera.crop_size)
-        self._size = tuple(fft.fast_length(float(length)) for length in reversed((pixels + bins - 1).tolist()))
+        lengths = np.add(camera.crop_size, camera.bin_count) - 1
+        self._size = tuple(fft.fast_length(float(length)) for length in reversed(lengths))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
         lens = objective_of(camera)
@@ -111,7 +108,7 @@ class FourierResponse(StoredResponse):
             height, width = self._camera.shape
             rows_of = fft.fft(total, axis=0, inverse=True)[:height]
             image = libraries.to_host(fft.irfft(rows_of, columns, axis=1)[:, :width])
-        return np.asarray(self._detector.forward(np.ascontiguousarray(image)))
+        return self._detector.forward(np.ascontiguousarray(image))
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
@@ -168,7 +165,7 @@ class FourierResponse(StoredResponse):
             positions.append(places[inside] % self._size[1 - axis])
             sources.append(inside)
         wrapped = np.zeros(self._size, np.float32)
-        spectra: fft.Field = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        spectra = active_backend().arrays.empty((o**2, self._size[0], self._size[1] // 2 + 1), np.complex64)
         for spectrum, (down, across) in zip(spectra, self._phases, strict=True):
             kernel = _over_pixels(_over_pixels(parts, o, across.start), o, down.start)
             wrapped[np.ix_(*positions)] = kernel[np.ix_(*sources)]
@@ -212,5 +209,4 @@ def _over_bins(spread: Floats, width: int) -> Floats:
 
 def _over_pixels(parts: Floats, count: int, start: int) -> Floats:
     """Return sums along pixels, each of `count` parts, of parts moved on by `start`, transposed; one pixel is added."""
-    padded = np.pad(parts, ((0, 0), (start, count - start)))
-    return padded.reshape(len(parts), -1, count).sum(-1).T
+    return np.pad(parts, ((0, 0), (start, count - start))).reshape(len(parts), -1, count).sum(-1).T

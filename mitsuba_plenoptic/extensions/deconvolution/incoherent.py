@@ -16,8 +16,6 @@ Point spreads that differ by a shift of whole lenses are computed once for a zon
 (`mitsuba_plenoptic.extensions.deconvolution.response`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

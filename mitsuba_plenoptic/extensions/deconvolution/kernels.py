@@ -5,8 +5,6 @@ block of samples contain light, and the other pairs are left out. Their power is
 a common factor, so that no power is lost.
 """
 
-from __future__ import annotations
-
 import itertools
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
@@ -124,8 +122,7 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             x, y = arrays.asarray(corners.T)
             entries.append((spread_index, reached.index - cell, cells.windows(whole)[y, x]))
     low = np.min([index.min(0) for _, index, _ in entries], axis=0)
-    high = np.max([index.max(0) for _, index, _ in entries], axis=0)
-    size = high - low + 1
+    size = np.max([index.max(0) for _, index, _ in entries], axis=0) - low + 1
     count = len({spread_index for spread_index, _, _ in entries})
     dense = arrays.zeros((int(size.prod()), count, *entries[0][2].shape[1:]), np.float32)
     for spread_index, index, values in entries:
@@ -251,7 +248,7 @@ class PlaneResponse:
             for step in range(around.shape[1]):
                 # A step takes every cell to another; only what no bin lights is met twice.
                 result[zone.sources[:, step]] += around[:, step]
-        return np.asarray(active_backend().to_host(result))[:-1]
+        return active_backend().to_host(result)[:-1]
 
 
 @dataclass(frozen=True)

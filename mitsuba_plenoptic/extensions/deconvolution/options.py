@@ -1,7 +1,5 @@
 """Options of the method ``deconvolved``; help reads this module, which imports no library."""
 
-from __future__ import annotations
-
 from typing import Annotated, TypedDict
 
 from ... import choices

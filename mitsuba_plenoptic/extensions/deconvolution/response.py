@@ -3,8 +3,6 @@
 Kernels are means of exact point spreads, or of rays.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import itertools
@@ -68,8 +66,7 @@ def wave_batches(
     if vignetting is not None:
         numbers = vignetting.at(*cells.middle(cell))
         constant: Any = {name: (float(value),) for name, value in numbers.items()}
-        seen = replace(vignetting, **constant)
-        grid = replace(grid, camera=grid.camera.replace(vignetting=seen))
+        grid = replace(grid, camera=grid.camera.replace(vignetting=replace(vignetting, **constant)))
     depth = finite_distance(cells.camera, distance)
     lens = grid.lens
     nearness = float(inverse_distance(lens, np.array([[0.0, 0.0, depth]]))[0])
@@ -172,15 +169,14 @@ def _pairs(count: int) -> tuple[Doubles, Doubles]:
 def _trace(batch: RayBatch) -> Part:
     """Return the light of a bin's rays, each distributed to the four nearest samples."""
     cells = batch.cells
-    grid = batch.cells.grid
-    camera = batch.cells.camera
-    lens = grid.lens
+    grid = cells.grid
+    camera = cells.camera
     light = grid.lens.bind(np.empty((0, 3)))
     walk = Walk.of(camera, grid.lens)
     inside, disc = _pairs(batch.samples)
     b = camera.mla_distance
     q = batch.corner + inside * cells.bin_sizes
-    pupil = cast(tuple[Doubles, Doubles], tuple(lens.pupil.radius * disc))
+    pupil = tuple(grid.lens.pupil.radius * disc)
     g = finite_distance(camera, batch.distance)
     point = -q[:, 0] * g / b, -q[:, 1] * g / b, np.full(len(q), g)
     m = light.land(pupil, point)
@@ -250,16 +246,19 @@ class Response(StoredResponse):
         if wavelength is None:
             grid = ray_grid(camera)
             self._together = 1
-            # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
-            rays = math.ceil(256 * math.sqrt(oversample / _fine(grid, camera, oversample)))
-            self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         else:
             camera = camera.at_wavelength(wavelength)
             recorded = recorded.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
+        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, or finer ones.
+        repeated = camera.lattice.separable and camera.lattice.aspect == 1 and grid.lens.is_uniform
+        self.cells = BinCells(grid, oversample if repeated else max(6, oversample))
+        # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
+        rays = math.ceil(256 * math.sqrt(oversample / self.cells.oversample))
+        self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
+        if wavelength:
             self._batches = functools.partial(wave_batches, fine)
-        self.cells = BinCells(grid, _fine(grid, camera, oversample))
         self._camera = camera
         self._distances = distances
         everywhere = np.full((1, 2), 2**40)
@@ -318,7 +317,9 @@ class Response(StoredResponse):
             sums = [np.zeros((self._recorder.box.rows, self._recorder.box.columns), np.float32) for _ in seen]
             for some, samples in zip(seen, sums, strict=True):
                 self.cells.windows(samples)[corners[:, 1], corners[:, 0]] = some[:, None, None]
-            x, y, ones = (self._recorded(active_backend().arrays.asarray(samples)) for samples in sums)
+            x, y, ones = (
+                self._recorder.record(active_backend().arrays.asarray(samples)[None])[..., 0] for samples in sums
+            )
             zone = np.stack([x, y]) / ones
         own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
@@ -423,8 +424,7 @@ class Response(StoredResponse):
         camera = self.cells.camera
         batches = itertools.chain.from_iterable(self._batches(self.cells, distance, cell))
         sent = sum(copy.weights.sum() for batch in batches for copy in batch.copies)
-        types = len(camera.mla_focal_lengths)
-        sent *= camera.lattice.lens_area * types / self.cells.vectors.diagonal().prod()
+        sent *= camera.lattice.lens_area * len(camera.mla_focal_lengths) / self.cells.vectors.diagonal().prod()
         if self._vignetting is not None:
             sent *= self._vignetting.power(*_pairs(2**10)[1], *self.cells.middle(cell)).mean()
         arrived = sum(float(block.matrix.sum(dtype=np.float64)) for block in kernel.blocks)
@@ -437,7 +437,7 @@ class Response(StoredResponse):
         """
         lens, cells, camera = self.cells.grid.lens, self.cells, self._camera
         disc = _pairs(2**8)[1]
-        pupil: Any = tuple(lens.pupil.radius * disc)
+        pupil = tuple(lens.pupil.radius * disc)
         edge = lens.pupil.radius * math.sqrt(math.pi / disc.shape[1])
 
         def light(position: Any) -> Floats:
@@ -452,7 +452,7 @@ class Response(StoredResponse):
         zone = np.append(owner, len(middles))
         ones = np.ones((*camera.shape, 1), np.float32)
         corners, _ = cells.corners(self._sampled)
-        windows = cells.windows(np.asarray(active_backend().to_host(self._recorder.spread(ones)[0])))
+        windows = cells.windows(active_backend().to_host(self._recorder.spread(ones)[0]))
         recorded = windows[corners[:, 1], corners[:, 0]].sum((1, 2))
         complete = np.append(recorded > 0.99 * recorded.max(), False)
         light_of_bins = self.adjoint(ones[..., 0])
@@ -489,8 +489,7 @@ class Response(StoredResponse):
         """Return the cell in the middle of a zone."""
         cell_index = self._sampled.index[members]
         places = cell_index @ self.cells.vectors
-        middle: Integers = cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
-        return middle
+        return cell_index[np.argmin(((places - places.mean(0)) ** 2).sum(1))]
 
     def _width_of_pupils(self, widest: int) -> int:
         """Return the width of zones over which the pupil changes by a tenth, a quarter behind a real lens, at most."""
@@ -500,7 +499,7 @@ class Response(StoredResponse):
         def light(cells: Integers) -> Doubles:
             places = np.moveaxis(self.cells.middle(cells), -1, 0)[..., None]
             inside, passed = _pupil_of(self.cells.grid.lens, self._vignetting, disc, places)
-            return np.asarray((inside >= 0) * passed)
+            return (inside >= 0) * passed
 
         step = max(1, widest // 8)
         here = light(index)
@@ -572,7 +571,7 @@ class Response(StoredResponse):
 
     def forward(self, values: Floats, /) -> Floats:
         """Return the image that the detector records of planes."""
-        return np.asarray(self._detector.forward(self._direct(values)))
+        return self._detector.forward(self._direct(values))
 
     def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
@@ -580,12 +579,8 @@ class Response(StoredResponse):
         samples = active_backend().arrays.zeros((box.rows, box.columns), np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
             plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        image = self._recorded(samples)
+        image = self._recorder.record(samples[None])[..., 0]
         return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
-
-    def _recorded(self, samples: Floats) -> Floats:
-        """Return the integrals over pixels of the samples around all cells."""
-        return np.asarray(self._recorder.record(samples[None])[..., 0])
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
@@ -609,7 +604,7 @@ def _around(camera: PlenopticCamera, image: Floats) -> Floats:
     whole[: image.shape[0], : image.shape[1]] = image
     means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
     around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
-    return np.asarray(around[: image.shape[0], : image.shape[1]])
+    return around[: image.shape[0], : image.shape[1]]
 
 
 def _farthest(camera: PlenopticCamera) -> float:
@@ -653,7 +648,7 @@ def _dimmed(
 
     def light(*place: Any) -> Floats:
         inside, passed = _pupil_of(main_lens, camera.vignetting, pupil, place)
-        return np.asarray(blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32)))
+        return blur.forward((white * np.clip(inside / edge + 0.5, 0, 1) * passed).astype(np.float32))
 
     here = light(*centres)
     inside, _ = _pupil_of(main_lens, camera.vignetting, pupil, centres)
@@ -662,11 +657,4 @@ def _dimmed(
     for part in (here, rims):
         mean = _around(camera, part)
         far += np.divide(part, 2 * mean, out=np.full_like(part, 0.5), where=mean > 0.02)
-    return here, np.asarray(blur.forward(white)) if zone is None else light(*zone), far
-
-
-def _fine(grid: Grid, camera: PlenopticCamera, oversample: int) -> int:
-    """Return the bins of cells along a lens: those of a reconstruction if they repeat with lenses, or finer ones."""
-    lattice = camera.lattice
-    separable = lattice.separable and lattice.aspect == 1 and grid.lens.is_uniform
-    return oversample if separable else max(6, oversample)
+    return here, blur.forward(white) if zone is None else light(*zone), far

@@ -7,8 +7,6 @@ gradient is :math:`-\mathrm{div}(\nabla x / |\nabla x|)`, at most :math:`2 + \sq
 step is divided (Dey et al. 2006, Microscopy Research and Technique 69, 260).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -407,10 +407,10 @@ class _BinnedPower:
 
     def vjp(self, bins: Doubles) -> Doubles:
         """Return the gradient with respect to the capture, from the gradient with respect to the bins."""
-        arrays = active_backend().arrays
         channels = np.where(self._lit, bins, 0)
         refocus = self._refocus
-        power = self._sums.vjp(arrays.asarray(channels if refocus._spread is None else refocus._spread.vjp(channels)))
+        spread = channels if refocus._spread is None else refocus._spread.vjp(channels)
+        power = self._sums.vjp(active_backend().arrays.asarray(spread))
         with fft.resting_drjit():
             gradients = ((2 * power * field).astype(np.complex64) for field in self._at)
             return self._slope * refocus._fields.vjp(gradients, refocus._zone, refocus._step)

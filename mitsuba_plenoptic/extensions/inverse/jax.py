@@ -223,8 +223,7 @@ _change = _primitive(
 
 
 def _gradients(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> list[Any]:
-    found = function.at(given[:-1]).vjp(given[-1], which)
-    return [each for each in found if each is not None]
+    return [each for each in function.at(given[:-1]).vjp(given[-1], which) if each is not None]
 
 
 # The gradients by these arrays.

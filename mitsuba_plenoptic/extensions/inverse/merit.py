@@ -133,8 +133,7 @@ class RefocusedContrast:
 
     def refocused(self, camera: PlenopticCamera) -> list[Floats]:
         """Return the refocused image of each point."""
-        pairs = zip(self._refocus, self._images(camera), strict=True)
-        return [refocus.forward(image) for refocus, image in pairs]
+        return [refocus.forward(image) for refocus, image in zip(self._refocus, self._images(camera), strict=True)]
 
     def _images(self, camera: PlenopticCamera) -> Doubles:
         # What this figure holds fixed must not differ.
@@ -260,8 +259,7 @@ class DepthInformation:
         """Yield displaced positions of the points, and the gradients with respect to their point spreads."""
         image, *along, depth = cotangents
         yield self._spreads.points, image
-        tilts = self._tilts(camera)
-        given = [*(part - tilt * depth for part, tilt in zip(along, tilts, strict=True)), depth]
+        given = [*(part - tilt * depth for part, tilt in zip(along, self._tilts(camera), strict=True)), depth]
         for (there, back, factor), part in zip(self._moves(camera), given, strict=True):
             yield there, factor * part
             yield back, -factor * part

@@ -79,11 +79,10 @@ class WaveModel:
 
     def derivatives(self, vector: CameraVector, images: Doubles) -> Doubles:
         """Return the derivatives of `images` with respect to the vector, (parameters, views, rows, columns)."""
-        names = vector.names
         directions = vector.of(self._camera).directions()
         rows = []
         for view, operator, weights, image in zip(self._views, self._operators, self._weights, images, strict=True):
-            slopes = derivatives.light_slopes(self._system, names, view.points)
+            slopes = derivatives.light_slopes(self._system, vector.names, view.points)
             growth = [change @ slopes[name] for direction in directions for name, change in direction.items()]
             grown = [
                 # If the weights of all points grow equally, the image is scaled; otherwise it is computed anew.
@@ -146,7 +145,7 @@ class PointRays:
                 own = None if self._pupil_weights is None else self._pupil_weights.take(some)
                 _Bundles(camera, lens, self._points[some], across, own).add(image, weights[some])
                 dr.eval(image)
-        return np.asarray(image.numpy().reshape(camera.shape))
+        return image.numpy().reshape(camera.shape)
 
 
 def _scales(camera: PlenopticCamera, lens: MainLens, points: Doubles) -> tuple[Doubles, Doubles]:
@@ -194,8 +193,7 @@ class _Bundles:
         whole = dr.block_sum(power, side * side)
         power *= dr.gather(Float64, drjit_array(Float64, factors) / dr.select(whole > 0, whole, 1), which)
         position = light.land(pupil, point)
-        scales = _scales(self.camera, self.lens, self.points)
-        on_array, on_detector = (value(abs(scale)) * step for scale in scales)
+        on_array, on_detector = (value(abs(scale)) * step for scale in _scales(self.camera, self.lens, self.points))
         for (i, j), fraction in self._lenses(position, on_array):
             landed, weight = self._walk.onto_detector(pupil, Passage(position, self._walk.lenslet(i, j)))
             # In a medium squares are smaller than by the reduced distance.
@@ -220,9 +218,7 @@ class _Bundles:
         lengths = drjit_array(array_module().Float64, np.array(camera.mla_focal_lengths))
         dr.make_opaque(lengths)
         medium = camera.mla_medium if camera.mla_medium == 1 else number(camera.mla_medium)
-        lens = self.lens.opaque(number)
-        z = number(camera.detector_distance)
-        return Walk(camera, lens, lattice, lengths, z, medium)
+        return Walk(camera, self.lens.opaque(number), lattice, lengths, number(camera.detector_distance), medium)
 
     def _lenses(self, position: Pair, width: Any) -> list[tuple[Pair, Any]]:
         """Return the lenses that rays hit, and the fraction of each ray's light that each of them receives."""
@@ -256,7 +252,6 @@ class _Bundles:
     def _detect(self, image: Any, position: Pair, width: Any, power: Any) -> None:
         """Add squares of light around positions on the detector to the pixels that they cover."""
         camera = self.camera
-        UInt32 = array_module().UInt32
         rows, columns = camera.shape
         size = self._number(camera.pixel_size)
         half = dr.minimum(dr.maximum(width / size, 1e-3), 1) / 2
@@ -270,7 +265,7 @@ class _Bundles:
         for (column, across), (row, down) in itertools.product(*sides):
             lit = power * across * down
             seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows) & (lit > 0)
-            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, UInt32(row * columns + column), seen)
+            dr.scatter_reduce(dr.ReduceOp.Add, image, lit, array_module().UInt32(row * columns + column), seen)
 
 
 def check_numbers(vector: CameraVector) -> None:

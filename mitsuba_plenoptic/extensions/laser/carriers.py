@@ -79,8 +79,7 @@ class Tilts:
         self._lens = lens
         self._wavelength = wavelength
         vergence = 1 / points[:, 2]
-        middle = (vergence.min() + vergence.max()) / 2
-        distance = _finite_inverse(middle)
+        distance = _finite_inverse((vergence.min() + vergence.max()) / 2)
         tilt = points[:, :2] * vergence[:, None]
         self.middle = np.append((tilt.min(0) + tilt.max(0)) / 2 * distance, distance)
         self._frequencies = self._cosines(points) - self._cosines(self.middle[None])
@@ -107,7 +106,7 @@ class Tilts:
         return waves - of_middle - np.stack([x, y], 1) @ self._frequencies[points].T
 
     def _cosines(self, points: Doubles) -> Doubles:
-        return np.stack(self._lens.cosines((0.0, 0.0), (points[:, 0], points[:, 1], points[:, 2])), -1)
+        return np.stack(self._lens.cosines((0.0, 0.0), tuple(points.T)), -1)
 
 
 class Spheres:
@@ -175,8 +174,7 @@ class Spheres:
     def remainder(self, waves: Doubles, x: Doubles, y: Doubles, points: Any) -> Doubles:
         """Return paths in waves less the paths of the spheres and the aberrations."""
         X, Y = self._images[points].T
-        away = (x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2
-        sphere = self._path(X**2 + Y**2) - self._path(away)
+        sphere = self._path(X**2 + Y**2) - self._path((x[:, None] - X) ** 2 + (y[:, None] - Y) ** 2)
         return waves - sphere - self._lens.aberration((x[:, None], y[:, None]), self._wavelength)
 
     def _path(self, square: Any) -> Any:

@@ -4,7 +4,6 @@ The field on the pupil is a sum over layers of distance (see `pupil_sums`). It p
 same chain as a single point's field (see `points.full_fields`), and so does the adjoint back.
 """
 
-import dataclasses
 from functools import cached_property
 from typing import Any
 
@@ -88,8 +87,8 @@ class CoherentFields:
         arrays = active_backend().arrays
         count = self._pupil.count
         inner = arrays.zeros((count, count), np.complex64)
-        for part, layer in self._layers:
-            layer.add(arrays.asarray(amplitudes[part]), inner)
+        for block, layer in self._layers:
+            layer.add(arrays.asarray(amplitudes[block]), inner)
         return inner
 
     def _to(self, plane: str, rows: slice = slice(None)) -> Chain:
@@ -115,5 +114,4 @@ class CoherentFields:
 def _footprint(lens: MainLens, points: Doubles) -> Footprint:
     """Return the footprints of points, computed for a limited number of points at a time."""
     parts = [footprint(lens, points[first : first + _TOGETHER]) for first in range(0, len(points), _TOGETHER)]
-    names = [field.name for field in dataclasses.fields(Footprint)]
-    return Footprint(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Footprint(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))

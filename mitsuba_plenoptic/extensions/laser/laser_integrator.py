@@ -159,8 +159,7 @@ def make_class() -> type:
         def _require(self, scene: Any, sensor: Any) -> list[Any]:
             """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
-                camera = PlenopticCamera.from_sensor(sensor)
-                require_support(camera, Use.COHERENT_POINTS)
+                require_support(PlenopticCamera.from_sensor(sensor), Use.COHERENT_POINTS)
             refuse_if(not sensor.film().rfilter().is_box_filter(), f'{NAME}: the film needs <rfilter type="box"/>')
             refuse_if(
                 sensor.film().base_channels_count() != 1, f"{NAME}: the film has colours; use pixel_format luminance"

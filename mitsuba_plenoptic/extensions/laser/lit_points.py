@@ -85,8 +85,7 @@ class LaserScene:
         surfaces, _, _ = self._lit(np.concatenate([towards, *self._small_shapes(2 * half * _WIDER / _COARSE)]), seed)
         if not len(surfaces):
             # Surfaces, lit or not, whose blur may bring light.
-            hit = self._hit(wide)
-            surfaces = self._in_camera(hit)[hit.is_valid().numpy()]
+            surfaces = self._in_camera(self._hit(wide))
         if not len(surfaces):
             return nothing
         blur = self._blur(surfaces)
@@ -116,7 +115,6 @@ class LaserScene:
         `positions_on_array` are (n, 2).
         """
         hit = self._hit(positions_on_array)
-        lens = self.system.lens
         radiance = self._radiance(hit, seed)
         lit = np.flatnonzero(radiance > 0)
         if not len(lit):
@@ -125,7 +123,7 @@ class LaserScene:
         positions = self._in_camera(hit)
         angle = 2 * math.pi * np.arange(_RIM) / _RIM
         hidden = np.zeros(len(lit))
-        for x, y in lens.reach * np.stack([np.cos(angle), np.sin(angle)], 1):
+        for x, y in self.system.lens.reach * np.stack([np.cos(angle), np.sin(angle)], 1):
             target = self.sensor.world_transform() @ mi.Point3f(float(x), float(y), 0)
             hidden += self.scene.ray_test(hit.spawn_ray_to(target)).numpy() / _RIM
         return positions, radiance[lit], hidden
@@ -139,12 +137,13 @@ class LaserScene:
         return self.scene.ray_intersect(world_ray(self.sensor, (point[0], point[1], point[2] + zero), slope))
 
     def _in_camera(self, hit: Any) -> Doubles:
-        """Return the positions (n, 3) of intersections in the camera frame."""
-        return np.asarray((self.sensor.world_transform().inverse() @ hit.p).numpy().T, np.float64)
+        """Return the positions (n, 3) in the camera frame of the intersections that are valid."""
+        positions = (self.sensor.world_transform().inverse() @ hit.p).numpy().T
+        return np.asarray(positions, np.float64)[hit.is_valid().numpy()]
 
     def _images(self, hit: Any) -> Doubles:
         """Return where the chief rays of intersection points before the main lens meet the array, (n, 2)."""
-        positions = self._in_camera(hit)[hit.is_valid().numpy()]
+        positions = self._in_camera(hit)
         return self.system.lens.images(positions[positions[:, 2] > 0])
 
     def _laser_images(self, rng: np.random.Generator) -> Doubles:
@@ -158,10 +157,10 @@ class LaserScene:
 
     def _pupil_images(self, middle: Doubles, half: Doubles, rng: np.random.Generator) -> Doubles:
         """Return array positions of the chief rays of all points that recorded lenses can see through the pupil."""
-        position = (middle + half * (2 * rng.random((_SEARCH, 2)) - 1)).T
+        positions = middle + half * (2 * rng.random((_SEARCH, 2)) - 1)
         radius = self.system.lens.reach * np.sqrt(rng.random(_SEARCH))
         angle = 2 * math.pi * rng.random(_SEARCH)
-        return self._images(self._hit(position.T, radius * np.stack([np.cos(angle), np.sin(angle)])))
+        return self._images(self._hit(positions, radius * np.stack([np.cos(angle), np.sin(angle)])))
 
     def _small_shapes(self, step: Doubles) -> list[Doubles]:
         """Return chief rays through the images of small shapes, a few `step` wide, one array per shape."""

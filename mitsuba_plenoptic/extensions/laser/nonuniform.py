@@ -89,8 +89,7 @@ class PlaneWaves:
         arrays = backend_of(self._correction).arrays
         tall = arrays.empty((self.count, self._shape[1]), np.complex64)
         for rows, block in samples:
-            corrected = block * self._correction
-            tall[rows] = _to_frequencies(corrected, self._low[0], self._length, self._shape[1], 1)
+            tall[rows] = _to_frequencies(block * self._correction, self._low[0], self._length, self._shape[1], 1)
         tall *= self._correction[:, None]
         spread = _to_frequencies(tall, self._low[1], self._length, self._shape[0], 0)
         parts = self._spread @ arrays.ascontiguousarray(spread).reshape(-1).view(np.float32).reshape(-1, 2)

@@ -73,9 +73,7 @@ class Layer:
         parts = []
         step = max(1, _TOGETHER // len(x))
         for first in range(0, len(points), step):
-            some_points = slice(first, first + step)
-            factors = self._remainder(x, y, points, some_points)
-            basis, coefficients = _completed(basis, factors)
+            basis, coefficients = _completed(basis, self._remainder(x, y, points, slice(first, first + step)))
             parts.append(coefficients)
         self.rank = basis.shape[1]
         by_nodes = np.ascontiguousarray(basis.T).reshape(self.rank, len(nodes), len(nodes)).astype(np.complex64)

@@ -196,8 +196,7 @@ class _CodevReader(DesignReader):
 
     def _only_value(self, line: Line, index: int = 1) -> float:
         """Return the number at the end of a surface's command, which may be given only once."""
-        keyword = line.words[0].upper()
-        self.once(line, keyword, of_surface=True)
+        self.once(line, line.words[0].upper(), of_surface=True)
         line.refuse_if(len(line.words) != index + 1, "it must be one number; semicolons separate commands")
         return line.value(index)
 

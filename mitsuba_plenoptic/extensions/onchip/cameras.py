@@ -59,7 +59,7 @@ def _on_chip(
     }
 
 
-CAMERAS: dict[str, dict[str, Any]] = {
+CAMERAS = {
     "full_frame_dual": _on_chip(0.00268, (13440, 8960), 50.0, 1.8, 2000.0, 0.008),
     "phone_quad": _on_chip(0.00122, (8064, 6048), 6.86, 1.78, 1000.0, 0.0045),
     "phone_quad_bayer": _on_chip(0.00112, (8000, 6000), 6.47, 1.7, 1000.0, 0.0045),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from ...camera import Form, Parameter, Use, approximate, refused
 from ...errors import refuse_if
@@ -12,9 +12,7 @@ from .photodiode_response import PhotodiodeResponse, known_response, require_pix
 if TYPE_CHECKING:
     from ...camera import CameraGeometry
 
-PhotodiodeParameter: TypeAlias = Parameter[
-    PhotodiodeResponse | str | Path | dict[str, Any] | None, PhotodiodeResponse | None
-]
+PhotodiodeParameter = Parameter[PhotodiodeResponse | str | Path | dict[str, Any] | None, PhotodiodeResponse | None]
 
 _WAVES = (
     Use.SCENES

@@ -135,8 +135,7 @@ class PlaneWaveResponses:
     def _orders(self) -> tuple[Integers, NDArray[np.complex128]]:
         """Diffraction orders of the lenses along an axis, and their amplitudes (orders along y, orders along x)."""
         camera = self.camera
-        wavelength = in_millimetres(self.wavelength)
-        most = math.ceil(camera.mla_medium * camera.row_pitch / wavelength) + 2
+        most = math.ceil(camera.mla_medium * camera.row_pitch / in_millimetres(self.wavelength)) + 2
         order = np.arange(-most, most + 1)
         samples = 1024  # of a lens along an axis
         x = ((np.arange(samples) + 0.5) / samples - 0.5) * camera.row_pitch

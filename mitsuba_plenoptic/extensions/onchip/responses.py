@@ -278,10 +278,8 @@ class ResponseSum(RaySum):
         return [value * light for light, (n, _) in zip(change, self._images, strict=True) for value in responses[n]]
 
 
-@functools.lru_cache(maxsize=4)
-def _plan(camera: PlenopticCamera, wavelength: float, fine: bool) -> PhotodiodeResponses:
-    """Return the photodiode responses of a camera, cached for further captures."""
-    return PhotodiodeResponses(camera, wavelength, fine=fine)
+_plan = functools.lru_cache(maxsize=4)(PhotodiodeResponses)
+"""The photodiode responses of a camera, cached for further captures."""
 
 
 @dataclass(frozen=True)
@@ -301,7 +299,7 @@ class ResponseCapture(SignedCapture):
     def nodes(self) -> list[Node]:
         """Return the wavelengths at which the response tables are computed."""
         nodes = [
-            Node(_plan(self.camera.at_wavelength(wavelength), wavelength, self.accuracy < FINE), channels, weights)
+            Node(_plan(self.camera.at_wavelength(wavelength), wavelength, fine=self.accuracy < FINE), channels, weights)
             for wavelength, channels, weights in self.weights
         ]
         nodes[0].plan.require_memory(len(nodes))

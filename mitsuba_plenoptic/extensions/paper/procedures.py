@@ -46,19 +46,16 @@ def back_path(camera: PlenopticCamera, lens: float, pixels: Array, distance: flo
         Positions (z, x) of each ray at the detector, the lens's centre, the main lens and the object plane.
     """
     b = camera.mla_distance
-    z = camera.detector_distance
     P, position = follow_back(pixels, lens, lens, distance, camera)
-    along = np.broadcast_to([b + z, b, 0.0, -distance], (len(pixels), 4))
+    along = np.broadcast_to([b + camera.detector_distance, b, 0.0, -distance], (len(pixels), 4))
     across = [pixels, np.full_like(pixels, lens), P, -position * distance / b]
     return np.stack([along, np.stack(across, axis=-1)], axis=-1)
 
 
 def micro_image(camera: PlenopticCamera, lens: float) -> Array:
     """Return detector points across a lens's micro-image, between the ends of the pupil."""
-    b = camera.mla_distance
-    z = camera.detector_distance
-    middle = rays.chief_detector_point(camera, lens)
-    return middle + np.linspace(-1, 1, _RAYS) * camera.aperture_radius * z / b
+    half = camera.aperture_radius * camera.detector_distance / camera.mla_distance
+    return rays.chief_detector_point(camera, lens) + np.linspace(-half, half, _RAYS)
 
 
 @plots.styled
@@ -119,11 +116,7 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
         ("main lens", r"$e^{-i\pi P^2/\lambda f_1}$, pupil", f"$f_1$ = {camera.focal_length:g} mm"),
         ("object plane", r"$|U|^2$, summed over bins", f"g = {distance:g} mm"),
     )
-    between = (
-        f"free space z = {camera.detector_distance:g} mm",
-        f"b = {camera.mla_distance:g} mm",
-        f"g = {distance:g} mm",
-    )
+    between = f"free space {steps[0][2]}", f"b = {camera.mla_distance:g} mm", steps[3][2]
     middles = np.linspace(0.9, 0.1, len(steps))
     for middle, (name, formula, value) in zip(middles, steps, strict=True):
         box = {"boxstyle": "round,pad=0.5", "facecolor": "#f4f6f8", "edgecolor": plots.FAINT}

@@ -52,8 +52,7 @@ def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) 
 
 
 def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
-    camera = experiment.camera
-    window = metrics.shape_window(camera, *experiment.boxes[shape])
+    window = metrics.shape_window(experiment.camera, *experiment.boxes[shape])
     if window is None:
         raise InputError(f"{shape}: it is not in the camera's view")
     capture = surroundings(experiment.wave, window, distance)

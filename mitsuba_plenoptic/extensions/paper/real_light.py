@@ -114,13 +114,13 @@ def reproduce_real(
         "alignment": placed,
         "stage_seconds": store.seconds,
         **{
-            name: {**one.measured, "claims": [asdict(claim) for claim in one.claims], "quality": one.quality}
-            for name, one in judged.items()
+            name: {**result.measured, "claims": [asdict(claim) for claim in result.claims], "quality": result.quality}
+            for name, result in judged.items()
         },
     }
     write_json(output / "results.json", results)
-    for name, one in judged.items():
-        draw(output / f"{name}.png", real.camera, one.pictures)
+    for name, result in judged.items():
+        draw(output / f"{name}.png", real.camera, result.pictures)
     _page(output, judged, placed, command)
     return results
 
@@ -128,7 +128,8 @@ def reproduce_real(
 def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> Judged:
     """Refocus a light field to all shapes by all methods, and compute verdicts and the quality of deconvolution."""
     camera = recording.camera
-    capture, white = recording.capture(wavelength), replace(recording.capture(wavelength), image=recording.white)
+    capture = recording.capture(wavelength)
+    white = replace(capture, image=recording.white)
     paper = paper_of(recording)
     key = f"{digest(recording.light, recording.white)} {camera.to_json()} {wavelength:g}"
     keys = {"capture": key}
@@ -136,8 +137,8 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     distances = [recording.shapes[name].distance for name in (near, far)]
     images = {}
     for method in (method for method in COMPARED_METHODS if method.source == "wave"):
-        found = refocused(store, method.name, capture, key, distances, method.options)
-        images.update({(method.name, distance): image for distance, image in found.items()})
+        by_distance = refocused(store, method.name, capture, key, distances, method.options)
+        images.update({(method.name, distance): image for distance, image in by_distance.items()})
     experiment = Experiment(
         settings=Settings(scene=scene, wavelength=wavelength, distances=tuple(distances)),
         camera=camera,
@@ -185,11 +186,8 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
 def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> tuple[Doubles, Doubles]:
     """Return the corners in the camera's frame of left, top, width and height in bins."""
     left, top, width, height = area
-    columns, rows = camera.bin_count
-    bin_size = camera.bin_size(distance)
-    x = np.array([left + width, left]) - columns / 2
-    y = np.array([top + height, top]) - rows / 2
-    low, high = (np.array([-x[k] * bin_size, -y[k] * bin_size, distance]) for k in (0, 1))
+    corners = np.array([[left + width, top + height], [left, top]]) - np.array(camera.bin_count) / 2
+    low, high = np.column_stack([-corners * camera.bin_size(distance), [distance] * 2])
     return low, high
 
 
@@ -210,7 +208,7 @@ def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
     """Return the plane that explains a light field, over the radiance of white."""
     lenses = lens_numbers(capture.camera)
     brightest = ndimage.maximum(paper, lenses, np.arange(lenses.max() + 1))[lenses]
-    found = reconstruct(
+    plane = reconstruct(
         capture,
         distance,
         method="deconvolved",
@@ -220,7 +218,7 @@ def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
         variation=VARIATION,
         white=np.where(paper > _RIM * brightest, paper, 0),
     )
-    return np.asarray(found.image / np.quantile(paper, 0.9), np.float32)
+    return np.asarray(plane.image / np.quantile(paper, 0.9), np.float32)
 
 
 def _quality(
@@ -235,9 +233,9 @@ def _quality(
             flat = flat_field(response, paper)
             radiance = np.nan_to_num(image) * np.float32(np.quantile(paper, 0.9))
             model = flat * response.forward(response.from_image(radiance, 0))
-        seen = np.where(flat > 0, recording.light, 0)
-        part = shape.pixels(camera, "even")
-        row["unexplained"] = float(np.linalg.norm((seen - model)[part]) / np.linalg.norm(seen[part]))
+        recorded = np.where(flat > 0, recording.light, 0)
+        even = shape.pixels(camera, "even")
+        row["unexplained"] = float(np.linalg.norm((recorded - model)[even]) / np.linalg.norm(recorded[even]))
         row["left_out"] = float((flat == 0).mean())
     if "edge" in shape.areas:
         with naming(f"{name}: edge = {shape.areas['edge']}"):
@@ -294,8 +292,8 @@ def _control(
             )
 
         inputs = {"planes": digest(*textures), "camera": real.camera.to_dict(), "wavelength": wavelength}
-        made, _ = store.capture(name, inputs, make)
-        light = level * np.atleast_3d(made.image)[..., 0]
+        capture, _ = store.capture(name, inputs, make)
+        light = level * np.atleast_3d(capture.image)[..., 0]
         random = np.random.default_rng(len(pictures))
         pictures.append((random.poisson(light.clip(0) * counts) / counts).astype(np.float32))
     return replace(real, light=pictures[0], white=pictures[1])
@@ -310,8 +308,8 @@ def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[tuple[
     rows, columns = (size // FINE for size in image.shape)
     low, high = np.array([-_BEYOND] * 2), np.array([columns, rows]) + _BEYOND
     start, size = np.split(np.array(shape.areas["region"]), 2)
-    for other in others:
-        first, width = np.split(np.array(other.areas["region"]), 2)
+    for neighbour in others:
+        first, width = np.split(np.array(neighbour.areas["region"]), 2)
         gaps = np.stack([start - first - width, first - start - size])
         side, axis = np.unravel_index(gaps.argmax(), gaps.shape)
         if side == 0:
@@ -322,8 +320,7 @@ def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[tuple[
     nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
     values = image[tuple(nearest)].clip(0).repeat(_FINER, 0).repeat(_FINER, 1)
     if "edge" in shape.areas:
-        window = shape.window("edge", FINE)
-        edge = window_sharpness(image[window].astype(np.float64))
+        edge = window_sharpness(image[shape.window("edge", FINE)].astype(np.float64))
         finer = shape.window("edge", FINE * _FINER)
         part = values[finer]
         y, x = (np.indices(part.shape) + 0.5) / _FINER - 0.5

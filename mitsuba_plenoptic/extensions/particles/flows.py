@@ -5,7 +5,6 @@ dataclass with `velocity`, and an entry in `FLOWS`; a flow without a closed form
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -54,7 +53,7 @@ class ParallelFlow(Flow):
 
     def advected(self, points: Doubles, time: float) -> Doubles:
         """Return where particles at positions (n, 3) in mm are after a time in seconds, which may be negative."""
-        return np.asarray(points + time * self.velocity(points))
+        return points + time * self.velocity(points)
 
 
 class Vortex(Flow):
@@ -261,10 +260,10 @@ class ImportedFlow(Flow):
             where = ", ".join(f"{value:.4g}" for value in points[outside][0])
             grid = ", ".join(f"{low:g} to {high:g}" for low, high in bounds)
             raise InputError(f"flow: {self.field}: a particle at ({where}) leaves its grid, {grid} mm")
-        return np.asarray(flow(points))
+        return flow(points)
 
 
-FLOWS: dict[str, Callable[..., Flow]] = {
+FLOWS = {
     "uniform": Uniform,
     "shear": Shear,
     "taylor_green": TaylorGreen,

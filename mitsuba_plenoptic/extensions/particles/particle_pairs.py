@@ -62,7 +62,7 @@ class ParticlePairs:
 
     def _random_flow(self, volume: ParticleVolume, largest: float, random: np.random.Generator) -> Flow:
         """Return a flow at a random place and of random orientation, with a given largest velocity."""
-        kind: Any = FLOWS[self.flow]
+        kind = FLOWS[self.flow]
         # Velocities are proportional to the first one; the second one of a vortex is its size.
         names = [field.name for field in fields(kind)]
         values: dict[str, Any] = {}

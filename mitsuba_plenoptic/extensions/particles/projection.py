@@ -90,7 +90,7 @@ class VoxelProjector(LinearMap):
         places = (nodes[:, 1:] + 1e-6) / per_lens @ basis + np.array(camera.mla_offset)
         at = lens.points(places, inverse)
         kind = CaptureOperator if budget is None else partial(StoredOperator, budget=budget)
-        self.operator: CaptureOperator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
+        self.operator = kind(camera, at, wavelength=wavelength, accuracy=accuracy)
         super().__init__((len(points),), camera.shape)
         self.camera = camera
         self.grid = grid

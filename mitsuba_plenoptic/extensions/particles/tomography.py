@@ -15,7 +15,7 @@ from ...runtime import Progress, as_pixels
 from .seeding import Window
 from .voxels import VoxelGrid
 
-_METHODS: dict[str, type[Smart] | type[Sirt]] = {"mart": Smart, "sirt": Sirt}
+_METHODS = {"mart": Smart, "sirt": Sirt}
 
 
 @suggest_keywords

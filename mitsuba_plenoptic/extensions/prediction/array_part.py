@@ -80,8 +80,7 @@ class CameraModel:
             {name: np.array(some) for name, some in plain["field"]["coefficients"].items()},
         )
         lens = np.array(plain["lens"])
-        bright = np.array(plain["brightness"])
-        return cls(camera, plain["wavelength"], array, field, lens, bright)
+        return cls(camera, plain["wavelength"], array, field, lens, np.array(plain["brightness"]))
 
     @property
     def pitch(self) -> Array:

@@ -131,8 +131,7 @@ def _by_rays(camera: PlenopticCamera, points: Array) -> Array:
 
     def picture(point: Array) -> Array:
         # Places of the grid differ, so that borders of lenses fall between rays by chance.
-        aside = generator.random((2, 1))
-        samples = np.meshgrid(*((np.arange(across) + aside) * (2 / across) - 1))
+        samples = np.meshgrid(*((np.arange(across) + generator.random((2, 1))) * (2 / across) - 1))
         return ray_spread(camera, point, np.stack(samples, -1).reshape(-1, 2))
 
     return np.stack([np.mean([picture(point) for point in some], axis=0) for some in points], -1).astype(np.float32)

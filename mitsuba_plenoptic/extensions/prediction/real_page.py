@@ -116,7 +116,7 @@ def _most_structured(image: Array, size: int) -> tuple[slice, slice]:
 def slices(study: Study) -> plots.Plot:
     """Return a figure of the scene's planes, by waves and by rays, from all pixels."""
     scenes = {light: planes_of(study, light) for light in LIGHTS}
-    by_structure = sorted(scenes["waves"], key=lambda distance: -float(np.ptp(scenes["waves"][distance])))
+    by_structure = sorted(scenes["waves"], key=lambda distance: -np.ptp(scenes["waves"][distance]))
     # Planes of the scene that are shown.
     chosen = sorted(by_structure[:5])
     across, down = study.part("waves").lenses

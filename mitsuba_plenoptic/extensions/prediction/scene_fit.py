@@ -51,12 +51,12 @@ class _PriorSteps(Steps):
     """Steps of Richardson and Lucy with the prior, in some of which stray light is found."""
 
     def __init__(
-        self, projector: SceneProjection, electrons: Array, used: Array, dark_variance: float, strength: float
+        self, projector: SceneProjection, electrons: Array, mask: Array, dark_variance: float, strength: float
     ) -> None:
         self.operator = projector
         self.image = electrons
         self.stray = 0.0
-        self._mask, self._shift, self._strength = used.astype(np.float32), np.float32(dark_variance), strength
+        self._mask, self._shift, self._strength = mask.astype(np.float32), np.float32(dark_variance), strength
         self._shifted = np.maximum(electrons * self._mask + self._shift, 0).astype(np.float32)
         self._light, self._all_light = self._spread(self._mask), self._spread(np.ones_like(self._mask))
         # Light of an element over that of the brightest one of its plane, below which it is dark.
@@ -94,7 +94,7 @@ class _PriorSteps(Steps):
 
     def predicted(self, model: Array) -> Array:
         """Return the pixels' light from their direct light and their glow."""
-        return np.asarray(model[0] + np.float32(self.stray) * model[1])
+        return model[0] + np.float32(self.stray) * model[1]
 
 
 def fit_scene(

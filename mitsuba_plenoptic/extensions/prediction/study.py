@@ -240,8 +240,7 @@ class Study:
                 progress(done, len(tried))
                 projector = SceneProjection(self.part("rays"), [plane_of(self.part("rays"), distance)])
                 fit = fit_scene(projector, electrons, used, self.dark_variance, STRENGTHS[0], _SEARCH_STEPS)
-                values = misfit(electrons, fit.predicted, self.dark_variance)
-                misfits.append(by_lens(values, used, self._pixels)[0])
+                misfits.append(by_lens(misfit(electrons, fit.predicted, self.dark_variance), used, self._pixels)[0])
             left = np.full(len(misfits[0]), np.inf)
             chosen: list[float] = []
             while len(chosen) < _MOST_PLANES:

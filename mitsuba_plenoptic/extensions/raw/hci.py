@@ -154,8 +154,7 @@ def write_hci(folder: Path, lf: xr.DataArray, depth: Array | None, *, name: str)
                 temporary.write_bytes(header.encode() + np.flipud(values).astype("<f4").tobytes())
         shifts = (float(np.nanmin(shift)), float(np.nanmax(shift)))
     ours = {"camera": json.dumps(camera.to_dict()), "white": f"{white:.9g}", "channels": str(3 if lf.ndim == 5 else 1)}
-    columns = lf.sizes["s"]
-    rows = lf.sizes["t"]
+    rows, columns = lf.shape[2:4]
     low, high = shifts
     parser = configparser.ConfigParser(interpolation=None)
     parser["intrinsics"] = {

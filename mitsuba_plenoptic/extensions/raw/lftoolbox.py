@@ -159,10 +159,10 @@ def _read_version_5(path: Path) -> dict[str, Any]:
         if name in ("LensletGridModel", "Camera", "MaxLum")
         if math.prod(shape) == 1
     ]
-    found = scipy.io.loadmat(path, variable_names=["LF", "White", *small], simplify_cells=True)
-    refuse_if("LF" not in found, "it has no variable LF")
-    refuse_if(found["LF"].dtype.kind not in "fiu", "LF is not an array of numbers")
-    return found
+    content = scipy.io.loadmat(path, variable_names=["LF", "White", *small], simplify_cells=True)
+    refuse_if("LF" not in content, "it has no variable LF")
+    refuse_if(content["LF"].dtype.kind not in "fiu", "LF is not an array of numbers")
+    return content
 
 
 def _read_hdf5(path: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
-from ...runtime import read_text, require_memory, require_size
+from ...runtime import read_text, require_memory, require_size, turn
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -303,13 +303,11 @@ def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
     scale = ours * (1 + gap / exit_pupil)
     pitch = length("mla.lensPitch", positive=True) * scale
     pitches = [pitch * picture.number(f"devices.mla.scaleFactor.{axis}", positive=True) for axis in "xy"]
-    rotation = picture.number("devices.mla.rotation")
+    rotation = math.degrees(picture.number("devices.mla.rotation"))
     offset = np.array([length("mla.sensorOffset.x"), length("mla.sensorOffset.y")]) * ours
     if _TILINGS[tiling] == "square":
         # Our lattice has the corner of four lenses there, theirs a lens.
-        cosine = math.cos(rotation)
-        sine = math.sin(rotation)
-        offset += np.array([[cosine, -sine], [sine, cosine]]) @ (np.array(pitches) / 2)
+        offset += turn(pitches[0] / 2, pitches[1] / 2, rotation)
     return PlenopticCamera(
         focal_length=focal_length,
         aperture_radius=focal_length / (2 * picture.number("devices.lens.fNumber", positive=True)),
@@ -317,7 +315,7 @@ def _camera_of(picture: _Picture, columns: int, rows: int) -> PlenopticCamera:
         mla_focal_length=gap,
         mla_pitch=pitches[0] if pitches[0] == pitches[1] else tuple(pitches),
         mla_lattice=_TILINGS[tiling],
-        mla_rotation=math.degrees(rotation),
+        mla_rotation=rotation,
         mla_offset=(float(offset[0]), float(offset[1])),
         detector_distance=gap,
         detector_width=columns * length("sensor.pixelPitch", positive=True),

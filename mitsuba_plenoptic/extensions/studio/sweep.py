@@ -100,8 +100,7 @@ class Points:
         self.axes = {name: values for name, values in grid.items() if name != DISTANCE}
         scene = Path(spec.scene)
         roots = check_scene_file(scene if scene.is_file() else scene_path(spec.scene), spec.parameters)
-        elements = [element for root in roots for element in root.iter()]
-        of_scene = set[str]().union(*map(names_in, elements))
+        of_scene = set[str]().union(*map(names_in, [element for root in roots for element in root.iter()]))
         of_cameras = (*PARAMETERS, *MATCHED)
         # The scene's own parameters come first, unless another camera takes the place of its camera.
         self.of_camera = [name for name in self.axes if name in of_cameras and (spec.camera or name not in of_scene)]

@@ -129,8 +129,7 @@ def spot_slopes(
     lit = light > 0
     # Pixels along a lens from which on the phase of their first Fourier coefficient tells a place.
     if n < 3:
-        offset = (np.arange(n) - (n - 1) / 2) * size
-        moved = _sums(spots, offset)[lit] / light[lit, None]
+        moved = _sums(spots, (np.arange(n) - (n - 1) / 2) * size)[lit] / light[lit, None]
     else:
         turn = 2 * np.pi / n
         moved = np.angle(_sums(spots, np.exp(1j * turn * (np.arange(n) - (n - 1) / 2))))[lit] * (size / turn)

@@ -13,16 +13,10 @@ from mitsuba_plenoptic.extensions.calibrate.board_model import Observations, num
 REAL = Path(os.environ.get("MITSUBA_PLENOPTIC_DATA", "data")) / "raytrix_r12a"
 
 CAMERA = PlenopticCamera.preset("raytrix").replace(
-    resolution=(2100, 1540),
-    crop_size=(2000, 1500),
-    crop_offset=(60, 0),
-    detector_width=2100 * 0.0055,
-    mla_pitch=(0.12744, 0.1275),
-    mla_rotation=0.3,
-    mla_offset=(0.02, -0.03),
-    mla_tilt=(0.05, -0.04),
+    resolution=(2100, 1540), crop_size=(2000, 1500), crop_offset=(60, 0), detector_width=2100 * 0.0055,
+    mla_pitch=(0.12744, 0.1275), mla_rotation=0.3, mla_offset=(0.02, -0.03), mla_tilt=(0.05, -0.04),
     distortion=(3e-4, -2e-6, 1e-8, -1e-4, 5e-5),
-)
+)  # fmt: skip
 BOARD = Board(6, 4, 6.0)
 INDEX = LensIndex(-0.5, 1, (40, 36))
 POSES = np.array(

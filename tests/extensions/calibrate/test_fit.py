@@ -193,16 +193,13 @@ def test_mistakes_get_one_line(table, change, words):
     refuses(words, calibrate, cal.Table("corners.csv", change(table)), cases.BOARD, START)
 
 
-@pytest.mark.parametrize(
-    ("board", "start", "given", "words"),
-    [
-        (Board(4, 6, 6.0), START, None, "board of 4x6 inner corners: they do on one with 6 along each row"),
-        (Board(6, 4, 60.0), START, None, "squares of 60 mm"),
-        (cases.BOARD, START.replace(mla_lattice="square", mla_focal_length=0.56), None, "odd rows .* mla_lattice"),
-        (cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None), None, "mla_shape = "),
-        (cases.BOARD, START, CENTRES, "does not shift its odd rows"),
-    ],
-)
+@pytest.mark.parametrize(("board", "start", "given", "words"), [
+    (Board(4, 6, 6.0), START, None, "board of 4x6 inner corners: they do on one with 6 along each row"),
+    (Board(6, 4, 60.0), START, None, "squares of 60 mm"),
+    (cases.BOARD, START.replace(mla_lattice="square", mla_focal_length=0.56), None, "odd rows .* mla_lattice"),
+    (cases.BOARD, START.replace(mla_shape=Conic(0.25), mla_focal_length=None), None, "mla_shape = "),
+    (cases.BOARD, START, CENTRES, "does not shift its odd rows"),
+])  # fmt: skip
 def test_other_boards_cameras_and_lattices_are_refused(table, centres, board, start, given, words):
     refuses(words, calibrate, table, board, start, given or centres)
 

@@ -58,22 +58,19 @@ def test_shapes_stand_where_the_camera_resolves_them():
         assert np.abs(axes - np.diag(np.diag(axes))).max() < 1e-5 * np.abs(axes).max()
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"count": 0}, "count = 0: "),
-        ({"cuont": 3}, "recipe: cuont: "),
-        ({"camera": {"aperture_radius": {"from": 5, "to": 3}}}, "camera: aperture_radius: from = 5, to = 3: "),
-        ({"camera": {"focal_length": {"from": 1, "to": 1e20, "step": 1}}}, "length: from = 1, to = 1e+20: "),
-        ({"camera": {"aperture_radius": {"from": -1, "to": 3}}}, "sample 0: camera: aperture_radius = -"),
-        ({"scenes": [{"generator": "shapes", "objects": 2.5}]}, "generator shapes: objects = 2.5: "),
-        ({"scenes": [{"scene": "nowhere"}]}, "scenes: entry 1: scene = 'nowhere': "),
-        ({"noise": {"read_noise": 3}}, "noise: photons is missing"),
-        ({"light": {"sky": 0, "lamp": 0}}, "light: sky = 0 and lamp = 0: "),
-        ({"models": ["ray", "wave"], "wave": {"metod": 1}}, "metod: "),
-        ({"wave": {"spp": 1}}, "wave: models = ['ray'] "),
-    ],
-)
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"count": 0}, "count = 0: "),
+    ({"cuont": 3}, "recipe: cuont: "),
+    ({"camera": {"aperture_radius": {"from": 5, "to": 3}}}, "camera: aperture_radius: from = 5, to = 3: "),
+    ({"camera": {"focal_length": {"from": 1, "to": 1e20, "step": 1}}}, "length: from = 1, to = 1e+20: "),
+    ({"camera": {"aperture_radius": {"from": -1, "to": 3}}}, "sample 0: camera: aperture_radius = -"),
+    ({"scenes": [{"generator": "shapes", "objects": 2.5}]}, "generator shapes: objects = 2.5: "),
+    ({"scenes": [{"scene": "nowhere"}]}, "scenes: entry 1: scene = 'nowhere': "),
+    ({"noise": {"read_noise": 3}}, "noise: photons is missing"),
+    ({"light": {"sky": 0, "lamp": 0}}, "light: sky = 0 and lamp = 0: "),
+    ({"models": ["ray", "wave"], "wave": {"metod": 1}}, "metod: "),
+    ({"wave": {"spp": 1}}, "wave: models = ['ray'] "),
+])  # fmt: skip
 def test_what_is_wrong_with_a_recipe_is_told_in_one_line(changes, message, tmp_path):
     path = tmp_path / "recipe.yaml"
     path.write_text(yaml.safe_dump(small(**changes)))

@@ -130,44 +130,27 @@ def test_forms_of_glass_and_curvature(tmp_path):
 
 
 OF_ZEMAX = [
-    ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM'"),
-    ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing"),
-    ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "20 degrees"),
-    ("PWAV 2", "PWAV 3", "wavelength 3"),
-    ("0.5875618", "587.5618", "wavelengths = 587562"),
-    ("TYPE EVENASPH", "TYPE COORDBRK", "'TYPE COORDBRK'"),
-    ("PARM 1 0", "PARM 1 1e-4", "second power"),
-    ("PARM 3 ", "PARM 9 ", "parameters 1 to 8"),
+    ("UNIT MM", "UNIT FT", "line 4: 'UNIT FT X W X CM MR CPMM'"), ("UNIT MM X W X CM MR CPMM\n", "", "UNIT is missing"),
+    ("ENVD 2.0E+1 1 0", "ENVD 2.0E+1 0 1", "20 degrees"), ("PWAV 2", "PWAV 3", "wavelength 3"),
+    ("0.5875618", "587.5618", "wavelengths = 587562"), ("TYPE EVENASPH", "TYPE COORDBRK", "'TYPE COORDBRK'"),
+    ("PARM 1 0", "PARM 1 1e-4", "second power"), ("PARM 3 ", "PARM 9 ", "parameters 1 to 8"),
     ("DIAM 9 1", "CLAP 3 8 0\n  DIAM 9 1", "'CLAP 3 8 0'"),
-    ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood"),
-    ("DIAM 9 1", "DIAM 0 1", "line 29: 'SURF 2'"),
-    ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors"),
-    ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "model glasses"),
-    ("64.17 0 0", "64.17 0.01 0", "partial dispersion"),
-    ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY'"),
-    ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1'"),
-    ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3"),
+    ("DIAM 9 1", "OBSC 0 3 0\n  DIAM 9 1", "OBSC is not understood"), ("DIAM 9 1", "DIAM 0 1", "line 29: 'SURF 2'"),
+    ("GLAS ___BLANK 1", "GLAS MIRROR 0", "mirrors"), ("GLAS ___BLANK 1", "GLAS ___BLANK 4", "model glasses"),
+    ("64.17 0 0", "64.17 0.01 0", "partial dispersion"), ("DISZ 5", "DISZ INFINITY", "line 26: 'DISZ INFINITY'"),
+    ("MNUM 1 1", "MNUM 2 1", "'MNUM 2 1'"), ("CURV 0.0\n  DISZ 0", "CURV 0.1\n  DISZ 0", "surface 3"),
     ("DISZ 60", "DISZ 60\n  GLAS ___BLANK 1 0 1.5 50", "last surface"),
-    ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "first surface"),
-    ("SURF 2", "SURF 3", "numbered"),
+    ("DISZ INFINITY", "DISZ INFINITY\n  GLAS ___BLANK 1 0 1.5 50", "first surface"), ("SURF 2", "SURF 3", "numbered"),
     ("CONI -0.5", "CONI -0.5\n  CURV 0.03", "'CURV 0.03'"),
-]
+]  # fmt: skip
 OF_CODEV = [
-    ("RDM;", "", "RDM"),
-    ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I'"),
-    ("DIM M\n", "", "DIM is missing"),
-    ("REF 1", "", "primary wavelength"),
-    ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876"),
-    ("CCY 0", "ADE 45", "'ADE 45'"),
-    ("CCY 0", "MFL 50", "'MFL 50'"),
-    ("CCY 0", "CIR OBS 3", "obscurations"),
-    ("K -0.5\n", "K -0.5 A 1E-6\n", "semicolons"),
-    ("CCY 0", "PIM", "solve"),
-    ("CCY 0", "TEM 60", "20 to 25 degrees"),
-    ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL'"),
-    ("SI 0.0", "SI -20.0", "curved"),
+    ("RDM;", "", "RDM"), ("DIM M\n", "DIM M\nDIM I\n", "line 5: 'DIM I'"), ("DIM M\n", "", "DIM is missing"),
+    ("REF 1", "", "primary wavelength"), ("WL 587.5618", "WL 0.5876", "wavelengths = 0.5876"),
+    ("CCY 0", "ADE 45", "'ADE 45'"), ("CCY 0", "MFL 50", "'MFL 50'"), ("CCY 0", "CIR OBS 3", "obscurations"),
+    ("K -0.5\n", "K -0.5 A 1E-6\n", "semicolons"), ("CCY 0", "PIM", "solve"), ("CCY 0", "TEM 60", "20 to 25 degrees"),
+    ("516800.641700", "REFL", "line 10: 'S 50.0 5.0 REFL'"), ("SI 0.0", "SI -20.0", "curved"),
     ("SI 0.0 0.0\n", "", "SI"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("old, new, message", OF_ZEMAX + OF_CODEV)
@@ -323,14 +306,9 @@ def zemax_of(rows):
 def test_picked_up_model_glasses_dummy_planes_and_newer_keywords_of_zemax(tmp_path):
     model, picked, open_ = "___BLANK 1 0 1.62 36.3 0 0 0 0 0 0", "___BLANK 2 2 1.5 50 0 0 0 0 0 0", "  DIAM 12\n"
     rows = [
-        (0.0, 10.0, "", "  DIAM 0\n"),
-        (0.02, 5.0, model, open_ + "  STOP\n  VCON 1\n"),
-        (-0.02, 5.0, "", open_),
-        (0.0, 2.0, "", "  DIAM 0\n"),
-        (0.0125, 5.0, picked, open_),
-        (-0.0125, 60.0, "", open_),
-        (0.0, 3.0, "", ""),
-    ]
+        (0.0, 10.0, "", "  DIAM 0\n"), (0.02, 5.0, model, open_ + "  STOP\n  VCON 1\n"), (-0.02, 5.0, "", open_),
+        (0.0, 2.0, "", "  DIAM 0\n"), (0.0125, 5.0, picked, open_), (-0.0125, 60.0, "", open_), (0.0, 3.0, "", ""),
+    ]  # fmt: skip
     lens = read(tmp_path, zemax_of(rows))
     assert [surface.thickness for surface in lens.surfaces] == [5, 7, 5, 0] and lens.stop == 0
     assert lens.image_distance == 63 and read(tmp_path, zemax_of(rows).replace("INFINITY", "20")).object_distance == 30

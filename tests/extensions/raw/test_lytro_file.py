@@ -105,18 +105,15 @@ def changed(name, value):
     return metadata
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "rule"),
-    [
-        ("devices.mla.lensPitch", None, "its metadata have no devices.mla.lensPitch"),
-        ("devices.mla.tiling", "penrose", "devices.mla.tiling = 'penrose'"),
-        ("image.width", 121, "image: 16200 bytes for 121 x 90 pixels"),
-        ("image.rawDetails.pixelPacking.bitsPerPixel", 14, "image.rawDetails.pixelPacking: 14 bits"),
-        ("image.rawDetails.pixelFormat.rightShift", 4, "image.rawDetails.pixelFormat.rightShift = 4"),
-        ("image.rawDetails.pixelFormat.white.gb", 168, "image.rawDetails.pixelFormat: white"),
-        ("image.rawDetails.mosaic.tile", "x", "image.rawDetails.mosaic.tile = 'x'"),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "rule"), [
+    ("devices.mla.lensPitch", None, "its metadata have no devices.mla.lensPitch"),
+    ("devices.mla.tiling", "penrose", "devices.mla.tiling = 'penrose'"),
+    ("image.width", 121, "image: 16200 bytes for 121 x 90 pixels"),
+    ("image.rawDetails.pixelPacking.bitsPerPixel", 14, "image.rawDetails.pixelPacking: 14 bits"),
+    ("image.rawDetails.pixelFormat.rightShift", 4, "image.rawDetails.pixelFormat.rightShift = 4"),
+    ("image.rawDetails.pixelFormat.white.gb", 168, "image.rawDetails.pixelFormat: white"),
+    ("image.rawDetails.mosaic.tile", "x", "image.rawDetails.mosaic.tile = 'x'"),
+])  # fmt: skip
 def test_metadata_that_are_not_understood(name, value, rule, tmp_path):
     pixels = write_lytro_white(tmp_path / "b", numbers_of(12), lytro_metadata(COLUMNS, ROWS))
     text = {"master": {"picture": {"frameArray": [{"frame": {"metadata": changed(name, value)}}]}}}

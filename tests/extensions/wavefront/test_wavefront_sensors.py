@@ -117,15 +117,15 @@ def test_frozen_flow_moves_the_screen_with_the_wind():
 
 
 def test_directions_of_far_sources(tmp_path):
-    points, weights = binary(10.0, angle=90.0, ratio=0.25, direction=(4.0, 0.0))
-    angles = np.rad2deg(np.arctan2(points[:, :2], points[:, 2:])) * 3600
-    assert np.allclose(angles, [(4, -5), (4, 5)]) and np.allclose(weights, [0.8, 0.2])
     picture = np.zeros((2, 4))
     # The upper left pixel and the lower right one.
     picture[0, 0], picture[1, 3] = 3, 1
-    points, weights = extended(picture, width=8.0)
-    angles = np.rad2deg(np.arctan2(points[:, :2], points[:, 2:])) * 3600
-    assert np.allclose(angles, [(3, 1), (-3, -1)]) and np.allclose(weights, [0.75, 0.25])
+    for (points, weights), seen, light in (
+        (binary(10.0, angle=90.0, ratio=0.25, direction=(4.0, 0.0)), [(4, -5), (4, 5)], [0.8, 0.2]),
+        (extended(picture, width=8.0), [(3, 1), (-3, -1)], [0.75, 0.25]),
+    ):
+        assert np.allclose(np.rad2deg(np.arctan2(points[:, :2], points[:, 2:])) * 3600, seen)
+        assert np.allclose(weights, light)
     refuses(r"^picture: it must be bright", extended, np.zeros((4, 4)), width=1)
     refuses(r"^direction = 1e", star, (1e9, 0))
     file = tmp_path / "colours.exr"

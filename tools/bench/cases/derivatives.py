@@ -25,7 +25,7 @@ from cases import relative
 from mitsuba_plenoptic import CaptureOperator, PlenopticCamera, load_scene
 from mitsuba_plenoptic.camera import change_of, parts_of, with_parts
 from mitsuba_plenoptic.fields.optical_system import OpticalSystem
-from mitsuba_plenoptic.points.arrival import FieldGrids, field_grids
+from mitsuba_plenoptic.points.arrival import field_grids
 from mitsuba_plenoptic.points.full_fields import full_field
 
 from .. import Pivot, Row, at_most, case, pick
@@ -109,16 +109,13 @@ def difference(
             value[: len(present)] += present
             # The detector stays where it stands, whatever focal length its distance follows.
             changed = with_parts(camera, {name: value}, detector_distance=camera.detector_distance)
-        grids = _grown(base, changed.detector_width / camera.detector_width)
+        growth = changed.detector_width / camera.detector_width
         order = wavelength / WAVELENGTH * camera.row_pitch / changed.row_pitch
-        grids = replace(grids, bend=base.bend * order * (1 + 1e-9))
+        x, y = base.wide_origin
+        grown = {"pitch": base.pitch * growth, "wide_origin": (x * growth, y * growth)}
+        grids = replace(base, bend=base.bend * order * (1 + 1e-9), **grown)
         sides.append(full_field(OpticalSystem(changed, wavelength), point, grids=grids))
     return (sides[0] - sides[1]) / (2 * step)
-
-
-def _grown(grids: FieldGrids, factor: float) -> FieldGrids:
-    x, y = grids.wide_origin
-    return replace(grids, pitch=grids.pitch * factor, wide_origin=(x * factor, y * factor))
 
 
 @case(

@@ -115,11 +115,6 @@ def camera_of(f_number: float, lenses: tuple[int, ...]) -> PlenopticCamera:
     )  # fmt: skip
 
 
-def inverse_depth(camera: PlenopticCamera, blur: Any) -> Any:
-    """Return the reciprocal depth at which points have a signed blur radius in lenses."""
-    return 1 / FOCUS - blur * (camera.row_pitch / (camera.aperture_radius * camera.mla_distance))
-
-
 @case(
     "dual-pixels.spreads",
     "Distances of the centroids of halves in point spreads by waves over those by rays, at a blur of 5 lenses behind "
@@ -136,10 +131,10 @@ def spreads(*, f_numbers: tuple[float, ...] = (1.8, 2.8, 4.0, 8.0), blur: float 
     """Compare banks of spreads on the axis; the limit is on the light that is lost."""
     for f_number in f_numbers:
         camera = camera_of(f_number, (2 * size, 2 * size))
-        banks = [
-            psf_bank(camera, [1 / inverse_depth(camera, blur)], model=model, wavelength=WAVELENGTH, size=size)
-            for model in ("ray", "wave")
-        ]
+        # Where points have this signed blur radius in lenses.
+        depth = 1 / (1 / FOCUS - blur * (camera.row_pitch / (camera.aperture_radius * camera.mla_distance)))
+        options = {"wavelength": WAVELENGTH, "size": size}
+        banks = [psf_bank(camera, [depth], model=model, **options) for model in ("ray", "wave")]
         rays, waves = (float(bank_disparity(bank).values[0, 0]) for bank in banks)
         light = float(banks[1].sum())
         yield {

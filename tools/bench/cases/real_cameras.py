@@ -9,7 +9,6 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,9 @@ import numpy as np
 from PIL import Image
 
 from mitsuba_plenoptic import InputError, PlenopticCamera, StrayLight
-from mitsuba_plenoptic.calibration import Board, Calibration, Table, WhiteFit, fit_white
+from mitsuba_plenoptic.calibration import WhiteFit, fit_white
 from mitsuba_plenoptic.camera.camera_files import camera_and_record
 from mitsuba_plenoptic.cli import main
-from mitsuba_plenoptic.extensions.calibrate import board_fit
-from mitsuba_plenoptic.extensions.calibrate.adjustment import Adjusted, Problem, adjust, outlying
-from mitsuba_plenoptic.extensions.calibrate.observations import observations
 from mitsuba_plenoptic.extensions.calibrate.white_page import side_by_side
 from mitsuba_plenoptic.extensions.paper.real_light import TITLES, grid
 from mitsuba_plenoptic.io.exr import read_exr
@@ -272,39 +268,3 @@ def letters(*, ours: str = "", peer: str = "") -> Iterator[Row]:
             "contrast": float((bright - dark) / (bright + dark)), "grid": grid(part("even"), fine),
             "width": window_sharpness(part("edge")).width * camera.bin_size(distance) / fine,
         }  # fmt: skip
-
-
-def cross_validate(
-    corners: Table, board: Board, calibration: Calibration, centres: Table | None = None
-) -> dict[int, float]:
-    """Return the error in pixels of each pose by a calibration without that pose, of which only the pose is fitted."""
-    observed, frames = observations(corners, board, calibration.index)
-    camera = calibration.camera
-    all_poses = Problem(observed, camera.pixel_size, camera.lattice.row_ratio)
-    if centres:
-        inliers, weight = board_fit._used_centres(centres, calibration.index, calibration.evaluation.residuals)
-        all_poses = board_fit._with_centres(all_poses, centres, inliers, calibration.index, weight)
-    numbers = np.array(list(calibration.numbers.values()))
-    poses = calibration.evaluation.poses
-    errors = {}
-    for left_out, frame in enumerate(frames):
-        problem = _poses(all_poses, observed.pose != left_out)
-        if not centres:
-            residuals = calibration.evaluation.residuals[observed.pose != left_out]
-            problem = board_fit._through_pupil(problem, residuals, ~outlying(np.hypot(*residuals.T)))
-        weights = board_fit._weights(
-            problem, Adjusted(numbers, np.delete(poses, left_out, 0), 0.0, 0), np.delete(frames, left_out)
-        )
-        fit = adjust(problem, numbers, np.delete(poses, left_out, 0), weights=weights)
-        alone = _poses(Problem(observed, all_poses.pixel_size, all_poses.row_ratio), observed.pose == left_out)
-        refitted = adjust(alone, fit.numbers, poses[left_out : left_out + 1], ())
-        errors[int(frame)] = float(np.sqrt(2 * refitted.cost / len(alone.corners)))
-    return errors
-
-
-def _poses(problem: Problem, chosen: np.ndarray) -> Problem:
-    """Return a problem restricted to some poses."""
-    observed = problem.corners
-    _, pose = np.unique(observed.pose[chosen], return_inverse=True)
-    selection = replace(observed.keep(chosen), pose=pose)
-    return Problem(selection, problem.pixel_size, problem.row_ratio, problem.centres, problem.centre_weight)

@@ -248,10 +248,13 @@ def _of_plane(
     methods = [method for method in methods if method != SUMS or judged == SUMS]
     nyquist = 1 / (2 * camera.row_pitch)
     waves = [(part * nyquist, angle, phase) for part in relative for angle, phase in PATTERNS]
-    walls = [*(sinusoid(*wave) for wave in waves), _edge]
+    along, down = _direction(EDGE_ANGLE)
+    walls = [*(sinusoid(*wave) for wave in waves), lambda x, y: (x * along + y * down > 0).astype(float)]
     images = [captured(camera, distance, wall, model, spp).image for wall in walls]
     images += [images[-1]] * (-len(images) % 3)
-    captures = [_of_three(images[first : first + 3], camera, model) for first in range(0, len(images), 3)]
+    wavelength = (WAVELENGTH,) * 3 if model == "wave" else None
+    threes = zip(*[iter(images)] * 3, strict=True)
+    captures = [Capture(np.stack(three, -1), camera, wavelength, model) for three in threes]
     limit = resolution_limit(camera, distance, WAVELENGTH)
     limits = {"pixels": limit.pixels / limit.lenses, "diffraction": limit.waves / limit.lenses}
     text = ", ".join(f"{key} {value:.2g}" for key, value in limits.items() if value < 100)
@@ -332,21 +335,10 @@ def _fine_contrast(camera: PlenopticCamera, frequency: float, distance: float, *
     return contrast(values[:, 0], places, frequency, PATTERNS[1][0])
 
 
-def _of_three(images: list[np.ndarray], camera: PlenopticCamera, model: str) -> Capture:
-    """Return a capture whose channels are three captures."""
-    wavelength = (WAVELENGTH,) * 3 if model == "wave" else None
-    return Capture(np.stack(images, axis=-1), camera, wavelength, model)
-
-
 def sinusoid(frequency: float, angle: float, phase: float) -> Callable[..., np.ndarray]:
     """Return the radiance of a wall of contrast 1 by the position on the array; the angles are in degrees."""
     (along, down), shift = _direction(angle), math.radians(phase)
     return lambda x, y: 1 + np.cos(2 * np.pi * frequency * (x * along + y * down) + shift)
-
-
-def _edge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    along, down = _direction(EDGE_ANGLE)
-    return (x * along + y * down > 0).astype(float)
 
 
 def _draw(path: Path, rows: list[Row]) -> None:

@@ -64,15 +64,12 @@ def _energy(name: str, by_rays: Capture, by_waves: Capture) -> Row:
 
 def sky_behind_a_card() -> Iterator[Row]:
     """Refocus a black card, in focus at 1000 mm, before skies, and look at the third bin from its edge."""
-    for name, sky in (("constant", {"type": "constant"}), ("envmap", {"type": "envmap", "bitmap": _even_sky()})):
+    even = mi.Bitmap(np.ones((4, 8, 3), np.float32))
+    for name, sky in (("constant", {"type": "constant"}), ("envmap", {"type": "envmap", "bitmap": even})):
         by_rays, by_waves = captures(card_before(sky=sky))
         columns = reconstruct(by_waves, 1000.0).image[4:-4].mean(axis=0)
         yield _row(f"black card before {name}: third bin inside it", float(columns[len(columns) // 2 - 3]), 0.0, 0.03)
         yield _energy(f"black card before {name}", by_rays, by_waves)
-
-
-def _even_sky() -> Any:
-    return mi.Bitmap(np.ones((4, 8, 3), np.float32))
 
 
 def transparent_cards() -> Iterator[Row]:

@@ -16,11 +16,6 @@ def _texture(values: np.ndarray) -> dict[str, Any]:
     return {"type": "bitmap", "raw": True, "data": mi.TensorXf(values[..., None].astype(np.float32))}
 
 
-def _scene(camera: mp.PlenopticCamera, objects: dict[str, Any], sampler: str = "independent") -> Any:
-    sensor = camera.to_sensor() | {"sampler": {"type": sampler}}
-    return mp.load_scene({"type": "scene", "integrator": {"type": "direct"}, "sensor": sensor, **objects})
-
-
 # -- objects of which the depth is hard to see -------------------------------------------------------
 
 Range = tuple[float, float]
@@ -107,7 +102,8 @@ class Stage:
 
     def scene(self) -> Any:
         """Return the scene."""
-        return _scene(self.camera, self.objects, "multijitter")
+        sensor = self.camera.to_sensor() | {"sampler": {"type": "multijitter"}}
+        return mp.load_scene({"type": "scene", "integrator": {"type": "direct"}, "sensor": sensor, **self.objects})
 
 
 def _two_planes(stage: Stage) -> None:
