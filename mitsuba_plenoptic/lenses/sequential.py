@@ -4,8 +4,6 @@ All functions take floats, NumPy arrays or Dr.Jit arrays, and propagate the grad
 those of the prescription; a caller that scales a lens scales the arguments and the results.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -20,8 +20,6 @@ and positions x in the native image plane into slopes :math:`x / f_F` there. In 
 the native image plane bounds the directions of rays, and the stop their positions.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any, cast

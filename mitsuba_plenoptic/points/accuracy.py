@@ -15,8 +15,6 @@ lens, and a motion of the image by :math:`\mu` gives :math:`\mu D_1 / \lambda b 
 within which points share a pattern therefore increase with the defocus.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

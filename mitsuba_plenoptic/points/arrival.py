@@ -1,7 +1,5 @@
 """The field of one scene point behind the exit pupil and directly in front of the microlenses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

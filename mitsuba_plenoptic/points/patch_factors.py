@@ -4,8 +4,6 @@ Apart from these factors, a field depends only on Fourier transforms of fixed si
 that enter the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence

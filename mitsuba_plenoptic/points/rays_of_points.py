@@ -1,7 +1,5 @@
 """The point spread of a scene point by rays: samples of the pupil, followed to the detector."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

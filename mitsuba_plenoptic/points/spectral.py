@@ -1,7 +1,5 @@
 """Number of wavelengths at which point spreads must be computed for light of a band."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Sums of point spreads' intensities, and their products with images, on the rectangles of the grid they cover."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

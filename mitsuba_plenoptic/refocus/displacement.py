@@ -17,8 +17,6 @@ from which they receive their light (a local linear regression: Fan and Gijbels,
 Applications", section 3.1).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 

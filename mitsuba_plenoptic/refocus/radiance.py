@@ -7,8 +7,6 @@ receives less than 1 % of the rays of the best bin contains hardly any light, an
 white also shows the positions from which bins receive their light; the image is corrected for their displacements.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 from collections.abc import Callable, Iterator, Sequence

@@ -20,8 +20,6 @@ image and multiplied by that of the even camera. Light that vignetting keeps out
 `passed_light` tells methods how much remains of a white scene's light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

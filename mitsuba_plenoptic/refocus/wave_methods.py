@@ -42,8 +42,6 @@ The chain of full fields goes detector -> array -> pupil -> object plane, one fi
 does its vjp back. It is linear in the amplitudes of the pixels; the power in bins is the square of its modulus.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace

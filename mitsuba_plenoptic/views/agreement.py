@@ -1,7 +1,5 @@
 """Agreement of the views of a light field on the distance of each bin."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 import xarray as xr

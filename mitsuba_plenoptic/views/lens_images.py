@@ -4,8 +4,6 @@ A light field has square upright bins, which on other lattices are interpolated 
 this destroys detail finer than the pitch of the lenses, which its micro-images hold.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

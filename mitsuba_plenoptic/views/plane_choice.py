@@ -6,8 +6,6 @@ likelihood proportional to :math:`r_d^{-N/2}`. For pure noise the ratio is 1 on 
 follows from the number of samples, so that the presence of any texture can be tested.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 

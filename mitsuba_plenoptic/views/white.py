@@ -5,8 +5,6 @@
 `mitsuba_plenoptic.design.white_mean` is a closed form for design sheets.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Sequence

@@ -10,8 +10,6 @@ light, which is exact; light of a response that the other patterns lack is added
 kept.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

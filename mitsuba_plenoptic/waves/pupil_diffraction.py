@@ -23,8 +23,6 @@ of them to the rays, without third differences.
 P is the middle of two points of the pupil, so that kernels are products of transforms: `lens_functions.of_middles`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from functools import cached_property

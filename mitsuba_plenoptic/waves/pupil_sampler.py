@@ -5,8 +5,6 @@ in a pixel light arrives, rays start where the light comes from before the pupil
 pixel, less a random displacement with the density of the point spread function.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

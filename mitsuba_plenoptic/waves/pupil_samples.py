@@ -1,7 +1,5 @@
 """Samples of a pupil's transmission on the square around it."""
 
-from __future__ import annotations
-
 import functools
 import math
 

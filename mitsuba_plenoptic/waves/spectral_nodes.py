@@ -10,8 +10,6 @@ each other have the same wavelengths, so that light which is uniform over a lens
 From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence
