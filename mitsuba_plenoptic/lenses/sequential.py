@@ -135,8 +135,8 @@ def follow(
     """
     x, y, z = point
     L, M, N = direction
-    is_open: Any = True
-    path: Any = 0.0
+    is_open = True
+    path = 0.0
     for surface in lens:
         c = surface.curvature
         s = (surface.gap - z) / N

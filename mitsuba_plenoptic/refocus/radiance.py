@@ -105,11 +105,11 @@ def divided_by_white(
     options, `key`.
     """
     sums = []
-    for number, (image, distances, progress) in enumerate(captures(task)):
+    for index, (image, distances, progress) in enumerate(captures(task)):
         make = partial(sums_of, image, distances, progress)
-        if number and task.white is None:
-            known = digest(image), tuple(distances), task.oversample, *key
-            sums.append(_sums_of_white(task.camera, *known, make=make))
+        if index and task.white is None:
+            facts = digest(image), tuple(distances), task.oversample, *key
+            sums.append(_sums_of_white(task.camera, *facts, make=make))
             progress(1.0)
         else:
             sums.append(make())

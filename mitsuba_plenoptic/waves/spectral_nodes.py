@@ -54,7 +54,7 @@ class WavelengthSampler:
         density = np.abs(responses(steps))
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
-        self.edges: Doubles = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
+        self.edges = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
         self.responses = responses(self.edges)
         self._edges = drjit_array(mi.Float, self.edges)
 
