@@ -270,10 +270,6 @@ class Lattice(abc.ABC):
         """Return the index along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
         return self.cell(coordinate, coordinate)[axis]
 
-    def axis_centre(self, index: Any, axis: int) -> Any:
-        """Return the coordinate in mm of a lens centre along one axis (0: x, 1: y) of an `axis_aligned` lattice."""
-        return self.centre(index, index)[axis]
-
     def lens_type(self, i: Any, j: Any) -> Any:
         """Return the index, from 0, of a lens's interleaved type: (i - j) modulo the number of types."""
         difference = i - j
@@ -281,7 +277,7 @@ class Lattice(abc.ABC):
         # One of the types also where floats cannot hold the indices, as callers read tables with the result.
         return maximum(minimum(remainder, self.lens_types - 1), 0)
 
-    def cell_point(self, s: Any, t: Any, scale: Any = 1.0) -> Pair:
+    def cell_point(self, s: Any, t: Any, scale: Any) -> Pair:
         """Map (s, t) in the unit square to the cell shrunk by `scale`; return the offset from the cell's centre.
 
         Parameters
@@ -327,7 +323,8 @@ class Lattice(abc.ABC):
         # By polar coordinates.
         module = module_of(s)
         radius = module.sqrt(s) * self.aperture_reach
-        return radius * module.cos(2 * math.pi * t), radius * module.sin(2 * math.pi * t)
+        angle = 2 * math.pi * t
+        return radius * module.cos(angle), radius * module.sin(angle)
 
     def aperture_grid(self, count: int) -> Array:
         """Return points (2, n) evenly over the aperture, about `count` along each side, whose mean is its centre."""
@@ -432,11 +429,9 @@ class Lattice(abc.ABC):
         origin = np.array(self.regular.centre(0.0, 0.0))
         ends = np.linalg.solve(np.array(self.basis).T, (corners - origin).T)
         first = np.floor(ends.min(1))
-        last = np.ceil(ends.max(1))
-        require_memory(60.0 * float(np.prod(last - first + 1)), f"{np.prod(last - first + 1):.3g} lenses")
-        first = first.astype(int)
-        last = last.astype(int)
-        j, i = (index.ravel() for index in np.mgrid[first[1] : last[1] + 1, first[0] : last[0] + 1])
+        size = np.ceil(ends.max(1)) - first + 1
+        require_memory(60.0 * float(np.prod(size)), f"{np.prod(size):.3g} lenses")
+        j, i = np.indices(size[::-1].astype(int)).reshape(2, -1) + first[::-1, None].astype(int)
         x, y = self.centre(i.astype(np.float64), j.astype(np.float64))
         inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
         return np.stack([i[inside], j[inside]], axis=-1)

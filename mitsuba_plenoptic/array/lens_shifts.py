@@ -113,11 +113,9 @@ class Displacement:
         """Return the largest smooth displacement in a rectangle, in mm, and the largest change of one per mm."""
         x, y = np.meshgrid(*(np.linspace(*ends, _ALONG) for ends in zip(low, high, strict=True)))
         moved = np.array(self._moved(x, y))
-        slopes = []
-        for step in ((_SMALL, 0.0), (0.0, _SMALL)):
-            slopes.append((np.array(self._moved(x + step[0], y + step[1])) - moved) / _SMALL)
+        slopes = np.array([self._moved(x + _SMALL, y), self._moved(x, y + _SMALL)]) - moved
         # No singular value is larger than the root of the sum of squares.
-        return float(np.hypot(*moved).max()), float(np.sqrt((np.array(slopes) ** 2).sum((0, 1))).max())
+        return float(np.hypot(*moved).max()), float(np.sqrt(((slopes / _SMALL) ** 2).sum((0, 1))).max())
 
     def _moved(self, x: Doubles, y: Doubles) -> list[Doubles]:
         return [value + 0 * x for value in self.smooth(x, y)]

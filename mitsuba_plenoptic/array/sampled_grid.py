@@ -134,9 +134,8 @@ class SampledGrid:
 
         rows, columns = (np.arange(size, dtype=float) for size in self._samples.shape)
         spline = RectBivariateSpline(rows, columns, self._samples)
-        orders = ((0, 0), (0, 1), (1, 0), (1, 1))
         # A bicubic polynomial follows from these at its four corners.
-        return np.stack([spline(rows, columns, dx=by_row, dy=by_column) for by_row, by_column in orders], -1)
+        return np.stack([spline(rows, columns, dx=by_row, dy=by_column) for by_row, by_column in np.ndindex(2, 2)], -1)
 
     def at(self, x: Any, y: Any) -> Any:
         """Return the interpolated value at offsets; beyond the grid the value at its border."""
@@ -169,12 +168,11 @@ class SampledGrid:
         across = _weights(u, derivative[0])
         up = _weights(v, derivative[1])
         total = 0.0
-        for down in (0, 1):
-            for right in (0, 1):
-                index = (row + down) * self._samples.shape[1] + column + right
-                for corner, (by_row, by_column) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
-                    value = take(self._corners[..., corner].ravel(), index)
-                    total = total + value * across[right, by_column] * up[down, by_row]
+        for down, right in np.ndindex(2, 2):
+            index = (row + down) * self._samples.shape[1] + column + right
+            for corner, (by_row, by_column) in enumerate(np.ndindex(2, 2)):
+                value = take(self._corners[..., corner].ravel(), index)
+                total = total + value * across[right, by_column] * up[down, by_row]
         return total
 
 

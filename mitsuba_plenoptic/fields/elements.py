@@ -94,7 +94,7 @@ class Element:
 def _evaluate(x: Array, y: Array, function: Callable[[Any, Any], Any]) -> Field:
     """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = active_backend().types
-    _, row, column = fft.split(types, dr.arange(types.UInt32, len(x) * len(y)), len(y), len(x))
+    row, column = fft.rows_and_columns(types, len(y), len(x))
     at = [
         dr.gather(types.Float64, drjit_array(types.Float64, values), index) for values, index in ((x, column), (y, row))
     ]

@@ -267,7 +267,7 @@ def from_directions(spectrum: Rows, step: Step, workspace: FieldWorkspace, watch
             watch.see_window(whole)
         columns[mine, : y.wanted] = whole[:, : y.wanted]
     if watch:
-        watch.check()
+        watch.check(watch)
     block = workspace.array("next rows", (workspace.block, x.held))
     for rows in workspace.runs(y.wanted):
         rows_cut = block[: rows.stop - rows.start]

@@ -256,7 +256,7 @@ class PlaneFactor(ArrayFactor):
     def _samples(self, shape: list[int], axis: int, power: int, lens_type: int | None) -> Field:
         """Return samples of one period of the transmission, at the centres of equal rectangles, on the host."""
         types = array_module()
-        _, row, column = fft.split(types, dr.arange(types.UInt32, shape[0] * shape[1]), *shape)
+        row, column = fft.rows_and_columns(types, *shape)
         x, y = (
             (types.Float64(coordinate) + 0.5) * dr.opaque(types.Float64, side / count)
             for coordinate, side, count in zip((column, row), self.periods, shape[::-1], strict=True)

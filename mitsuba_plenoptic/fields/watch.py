@@ -23,7 +23,7 @@ class Watch:
         x = step.x
         y = step.y
         self._step = step
-        self._check = check
+        self.check = check
         self._inner = np.abs(frequencies_of(x.held)) <= 1 - EDGE
         high = np.flatnonzero(np.abs(frequencies_of(y.held)) > 1 - EDGE)
         # The high frequencies are in the middle.
@@ -50,10 +50,6 @@ class Watch:
     def see_window(self, lines: Field) -> None:
         """Add the power of lines all over the next window along y."""
         self._in_rim += sum(power(lines[:, side]) for side in self._rim)
-
-    def check(self) -> None:
-        """Compare what has been seen."""
-        self._check(self)
 
     @property
     def power(self) -> float:

@@ -1,7 +1,5 @@
 """Numbers that settle how exactly real main lenses are traced and fitted, and how many rays that takes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

@@ -1,7 +1,5 @@
 """The base of main lenses with closed forms: thin, telecentric, Fourier and collimated ones."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Self

@@ -6,8 +6,6 @@ focus on the array are imaged sharply, at the position that the inverse of U giv
 in the same manner, by the positions at which their rays cross the array; the pupil itself is not distorted.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from ..runtime import Pair

@@ -76,8 +76,7 @@ class FittedLens:
     @property
     def entrance(self) -> Entrance:
         """Entrance pupil of the lens."""
-        entrance: Entrance = self.system.entrance
-        return entrance
+        return self.system.entrance
 
     def vergence(self, distance: Any) -> Any:
         """Return the reciprocal of the distance from the rear principal plane to the image of an object plane."""
@@ -97,8 +96,7 @@ class FittedLens:
 
     def open_fraction(self, x: Doubles, y: Doubles) -> Doubles:
         """Return the open fraction of the pupil, seen from positions on the MLA, as `MainLens.open_fraction` does."""
-        fraction: Doubles = self.system.open_fraction(x, y)
-        return fraction
+        return self.system.open_fraction(x, y)
 
     def bind(self, points: Doubles, index: Any = None, changes: Sequence[tuple[Any, LensChange]] = ()) -> LensLight:
         """Return the light of some points, as `MainLens.bind` does, with gradients of each amount of a change."""
@@ -341,7 +339,7 @@ def lens_change(lens: FittedLens, name: str) -> LensChange:
 
     polynomials = [fitted.aberration, fitted.brightness, *fitted.stops]
     changes = [changed(*parts) for parts in zip(polynomials, values(more), values(less), strict=True)]
-    fits: list[Polynomial] = []
+    fits = []
     with single_threaded_blas():
         for some in (slice(0, 2), slice(2, None)):
             if changes[some]:
@@ -406,7 +404,7 @@ class VaryingLens:
                 changes.append((amount, change))
                 distance = distance + amount * change.pupil_distance
         # A circle about the axis contains the exit pupil, and scales with vignetting edges.
-        radius: Any = self.base.reach
+        radius = self.base.reach
         if "aperture_radius" in self.numbers:
             value = self.numbers["aperture_radius"]
             # 1, with the relative gradient of the value.

@@ -1,7 +1,5 @@
 """The exit pupil of a main lens as the microlens array sees it, the same record for every lens."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

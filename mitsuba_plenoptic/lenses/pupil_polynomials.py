@@ -124,9 +124,9 @@ class PupilPolynomial:
     def value(self, pupil: Pair) -> Any:
         """Return the values at positions on the pupil, (x, y) in millimetres."""
         s, t = self._invariants(pupil)
-        total: Any = 0.0
-        row: Any = 0.0
-        rows: list[Any] = []
+        total = 0.0
+        row = 0.0
+        rows = []
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
             row = row * s + term
             if b == 0:
@@ -139,7 +139,7 @@ class PupilPolynomial:
     def gradient(self, pupil: Pair) -> Triple:
         """Return the values at pupil positions, and their derivatives along x and y, by Horner's rule as in `value`."""
         s, t = self._invariants(pupil)
-        rows: list[Pair] = []
+        rows = []
         value = 0.0 * s
         slope = 0.0 * s
         for (b, _), term in zip(self.degrees.pairs, self.coefficients, strict=True):
@@ -211,7 +211,7 @@ class LensLight:
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether light passes a position, as `Light.is_open` does."""
-        result: Any = True
+        result = True
         for stop in self.stops:
             result = (stop.value(pupil) <= 1) & result
         return result

@@ -4,8 +4,6 @@ All functions take floats, NumPy arrays or Dr.Jit arrays, and propagate the grad
 those of the prescription; a caller that scales a lens scales the arguments and the results.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -137,8 +135,8 @@ def follow(
     """
     x, y, z = point
     L, M, N = direction
-    is_open: Any = True
-    path: Any = 0.0
+    is_open = True
+    path = 0.0
     for surface in lens:
         c = surface.curvature
         s = (surface.gap - z) / N

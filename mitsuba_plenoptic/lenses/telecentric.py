@@ -20,8 +20,6 @@ and positions x in the native image plane into slopes :math:`x / f_F` there. In 
 the native image plane bounds the directions of rays, and the stop their positions.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
@@ -114,15 +112,12 @@ class TelecentricLens(ClosedLens):
 
     def ray(self, pupil: Pair, position: Pair) -> Traced:
         """Return the ray from a position on the array through a point of the window."""
-        behind = self.aim(pupil, position)
+        # The slopes are the same for all image positions.
+        scale = -1 / (self.objective.immersion * self._cosine(pupil))
+        sines = self._sines(pupil)
+        behind = sines[0] * scale, sines[1] * scale
         x, y = (t * self.front - m / self.objective.magnification for m, t in zip(position, behind, strict=True))
         return (x, y, self.front), behind, self.is_open(pupil)
-
-    def aim(self, pupil: Pair, position: Pair) -> Pair:
-        """Return the slopes in the scene of the ray through a point of the stop, the same for all image positions."""
-        x, y = self._sines(pupil)
-        scale = -1 / (self.objective.immersion * self._cosine(pupil))
-        return x * scale, y * scale
 
     def power_through(self, point: Doubles) -> float:
         """Return `passed_power`, which is equal for all scene points."""

@@ -70,7 +70,7 @@ class Wavefront:
         self._radius = radius
         self._screen = screen
         size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)
-        self._terms: list[list[Any]] = [[0.0] * (size - a) for a in range(size)]
+        self._terms = [[0.0] * (size - a) for a in range(size)]
         for j, coefficient in enumerate(coefficients, 1):
             for (a, b), factor in np.ndenumerate(zernike(j)):
                 if factor:
@@ -100,7 +100,7 @@ class Wavefront:
 
 def _sum(terms: list[Any], x: Any) -> Any:
     """Return the value of a polynomial in x, by Horner's rule."""
-    total: Any = 0.0
+    total = 0.0
     for term in reversed(terms):
         total = total * x + term
     return total

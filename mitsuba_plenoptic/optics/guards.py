@@ -180,11 +180,8 @@ APERTURE = Guard(
 )
 
 
-class _Findings(dict[Guard, float]):
-    """The largest fraction that each guard has found so far."""
-
-
-_findings: ContextVar[_Findings | None] = ContextVar("findings", default=None)
+_findings: ContextVar[dict[Guard, float] | None] = ContextVar("findings", default=None)
+"""The largest fraction that each guard has found so far."""
 
 
 @contextlib.contextmanager
@@ -200,7 +197,7 @@ def watch() -> Iterator[dict[str, float]]:
     if _findings.get() is not None:
         yield {}
         return
-    findings = _Findings()
+    findings: dict[Guard, float] = {}
     fractions: dict[str, float] = {}
     token = _findings.set(findings)
     try:

@@ -47,11 +47,6 @@ def chief_lenses(camera: PlenopticCamera, x: Any, y: Any) -> Pair:
     return camera.lattice.cell(*(chief_point(camera, p, camera.pupil_distance) for p in (x, y)))
 
 
-def microlens_slope(p: Any, m: Any, c: Any, detector_distance: Any, mla_focal_length: Any) -> Any:
-    """Slope after the microlens of the ray from p through m: (m - p)/z - (m - c)/f2."""
-    return (m - p) / detector_distance - (m - c) / mla_focal_length
-
-
 def pupil_point(m: Any, t: Any, mla_distance: Any) -> Any:
     """Position on the main lens of a ray of slope t from the MLA: m + b t."""
     return m + mla_distance * t

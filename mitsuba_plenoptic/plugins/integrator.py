@@ -12,7 +12,7 @@ import numpy as np
 
 from ..camera import Captures, PlenopticCamera, Use, has_small_lenses, is_supported, require_support, with_gradient
 from ..detector import SHARP
-from ..errors import InputError, naming, refuse_if, require_accuracy, require_number, short_repr
+from ..errors import InputError, naming, refuse_if, require_accuracy, require_choice, require_number, short_repr
 from ..extension import hook
 from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
 from ..runtime import Doubles, Job
@@ -25,7 +25,7 @@ from ..waves import (
     check_screen,
     require_parameters,
 )
-from .properties import read_choice, read_count, read_number, read_plain
+from .properties import read_count, read_plain
 from .wave_base import NAME, asked_for, developed, make_base, put, read_wavelengths
 
 if TYPE_CHECKING:
@@ -189,7 +189,7 @@ def make_class() -> type:
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self._read_spectrum(props)
-            self.method = read_choice(props, NAME, "method", (SIGNED_RAYS, POINTS))
+            self.method = require_choice(f"{NAME}: method", props.get("method", SIGNED_RAYS), (SIGNED_RAYS, POINTS))
             self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             self.read_child(props)
 
@@ -314,7 +314,9 @@ def make_class() -> type:
             """Read wavelengths, bands and responses."""
             self.wavelengths = read_wavelengths(props)
             self.has_wavelengths = "wavelength" in props
-            self.bandwidth = read_number(props, NAME, "bandwidth", None)
+            self.bandwidth = read_plain(props, "bandwidth", None)
+            if self.bandwidth is not None:
+                self.bandwidth = require_number(f"{NAME}: bandwidth", self.bandwidth, positive=True)
             self.responses = read_plain(props, "responses", None)
             self.wavelength_count = read_count(props, NAME, "wavelength_count", WAVELENGTHS, maximum=MOST_WAVELENGTHS)
             self.nodes = read_count(props, NAME, "nodes", 0, maximum=MOST_WAVELENGTHS) if "nodes" in props else None

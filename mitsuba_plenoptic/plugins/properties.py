@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 
 from ..camera import FILE_READERS, PARAMETERS, Form, PlenopticCamera, Use, film_numbers, require_support
-from ..errors import NO_RECORD, InputError, naming, refusing, require_choice, require_count, require_number
+from ..errors import NO_RECORD, InputError, naming, refusing, require_count, require_number
 from ..extension import missing
 from ..scene import unknown_parameter
 
@@ -19,21 +19,9 @@ def read_plain(props: Any, name: str, default: Any) -> Any:
     return _plain(props[name]) if name in props else default
 
 
-def read_number(props: Any, plugin: str, name: str, default: float | None) -> float | None:
-    """Read a positive, finite value from a plugin's properties."""
-    if name not in props:
-        return default
-    return require_number(f"{plugin}: {name}", _plain(props[name]), positive=True)
-
-
 def read_count(props: Any, plugin: str, name: str, default: int, *, maximum: int | None) -> int:
     """Read an integer of at least 1 from a plugin's properties."""
     return require_count(f"{plugin}: {name}", props[name], maximum=maximum) if name in props else default
-
-
-def read_choice(props: Any, plugin: str, name: str, choices: tuple[str, ...]) -> str:
-    """Read one of several words from a plugin's properties; the first is the default."""
-    return require_choice(f"{plugin}: {name}", props[name] if name in props else choices[0], choices)
 
 
 def require_read(props: Any, plugin: str) -> None:

@@ -191,7 +191,7 @@ def make_class() -> type:
                 for package, name, text in entries("responses")
                 if getattr(self, name) is not None
             )
-            self._table: Any = next(tables, None)
+            self._table = next(tables, None)
             is_coloured = self._rays.dispersion is not None or (self._table is not None and not mi.is_monochromatic)
             detector = DetectorOperator.of(self.camera)
             film = self.film()

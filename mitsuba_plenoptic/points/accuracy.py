@@ -15,8 +15,6 @@ lens, and a motion of the image by :math:`\mu` gives :math:`\mu D_1 / \lambda b 
 within which points share a pattern therefore increase with the defocus.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -177,26 +175,23 @@ def find_patterns(
         off = lens_type[first] - camera.lattice.lens_type(*middle.T).astype(np.int64)
         middle[:, 0] += (off + 1) % types - 1
     count = np.bincount(pattern)
-    position = (
-        np.column_stack([np.bincount(pattern, coordinate) for coordinate in (image - cell).T]) / count[:, None] + middle
-    )
+
+    def means(values: Doubles) -> Doubles:
+        return np.column_stack([np.bincount(pattern, column) for column in values.T]) / count[:, None]
+
     mean = np.bincount(pattern, inverse_distance(lens, positions)) / count
-    slant = None
-    if pupil_weights is not None:
-        slant = (
-            np.column_stack([np.bincount(pattern, coordinate) for coordinate in pupil_weights.slant.T]) / count[:, None]
-        )
+    slant = None if pupil_weights is None else means(pupil_weights.slant)
     # If a pattern is shared by diverging and converging light, their mean may be collimated.
     nearness = np.where(np.abs(mean) > 1 / _FARTHEST, mean, 1 / _FARTHEST)
-    centres = lens.points(_in_pitches(camera, position) * camera.row_pitch, nearness)
+    centres = lens.points(_on_array(camera, means(image - cell) + middle), nearness)
     return Patterns(centres, slant, pattern, cell - middle[pattern])
 
 
-def _in_pitches(camera: PlenopticCamera, steps: Array) -> Doubles:
-    """Return positions on the MLA in pitches, from steps along the lattice vectors, (n, 2)."""
+def _on_array(camera: PlenopticCamera, steps: Array) -> Doubles:
+    """Return positions on the MLA, from steps along the lattice vectors, (n, 2)."""
     basis = np.array(camera.lattice.basis)
     offset = np.array(camera.mla_offset)
-    return steps @ (basis / camera.row_pitch) + offset / camera.row_pitch
+    return (steps @ (basis / camera.row_pitch) + offset / camera.row_pitch) * camera.row_pitch
 
 
 def _depth_steps(
@@ -233,10 +228,7 @@ def _zones(
     for width in ZONES:
         first = cell // width * width
         square = np.max(
-            [
-                ((_in_pitches(camera, first + np.array(corner) * width) * camera.row_pitch) ** 2).sum(1)
-                for corner in ((0, 0), (0, 1), (1, 0), (1, 1))
-            ],
+            [(_on_array(camera, first + np.array(corner) * width) ** 2).sum(1) for corner in np.ndindex(2, 2)],
             axis=0,
         )
         waves = path_change(lens, np.sqrt(square), pitch, wavelength)

@@ -1,7 +1,5 @@
 """The field of one scene point behind the exit pupil and directly in front of the microlenses."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,7 +25,7 @@ from ..fields import (
 )
 from ..lenses import ClosedLens, ExitPupil, FourierLens, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
-from ..runtime import Doubles, Field, Pair, active_backend, check_memory, fft
+from ..runtime import Doubles, Field, Pair, Triple, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
@@ -268,13 +266,12 @@ def pupil_field(
     step = dr.opaque(types.Float64, pitch)
     Px = types.Float64(column) * step + dr.opaque(types.Float64, grids.wide_origin[0])
     Py = types.Float64(row) * step + dr.opaque(types.Float64, grids.wide_origin[1])
-    X, Y, g = (dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
     lens = system.waves_of_one(position)
     pupil = (Px, Py)
-    point = (X, Y, g)
+    point = _opaque(position)
     if incident is not None:
         if is_paraxial(system.camera):
-            waves = cast(ThinLens, lens).paraxial_path(pupil, g, system.wavelength)
+            waves = cast(ThinLens, lens).paraxial_path(pupil, point[2], system.wavelength)
         else:
             waves = lens.path(pupil, point, system.wavelength)
         turned = fft.as_field(fft.pack(phasor(waves)), (count, count))
@@ -303,6 +300,12 @@ def pupil_field(
     )
     field = phasor(lens.path(pupil, point, system.wavelength)) * (bright * cover / math.sqrt(passing))
     return SampledField(fft.as_field(fft.pack(field), (count, count)), grids.wide_origin, pitch)
+
+
+def _opaque(position: Doubles) -> Triple:
+    """Return a scene point (3,) whose coordinates are not compiled into kernels."""
+    X, Y, g = (dr.opaque(active_backend().types.Float64, float(coordinate)) for coordinate in position)
+    return X, Y, g
 
 
 def to_array(camera: PlenopticCamera, wavelength: float, step: Step, paraxial: bool = False) -> Hop:
@@ -384,33 +387,31 @@ def stop_image_arrival(
     if incident is None:
         field = fft.as_field(fft.pack(_stop_field(lens, position, wavelength, pupil, sample, weights)), (rows, columns))
     else:
-        point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
-        turned = fft.as_field(fft.pack(phasor(lens.path(pupil, point, wavelength))), (rows, columns))
+        turned = fft.as_field(fft.pack(phasor(lens.path(pupil, _opaque(position), wavelength))), (rows, columns))
         first = (origin[0] * scale, origin[1] * scale)
         pitch = grids.pitch * scale
         field = turned * interpolated(incident, first, pitch, (rows, columns)) / np.float32(incident.power**0.5)
         with fft.resting_drjit():
             guards.check(guards.UNDERSAMPLED, band_edge_fraction(fft.fft2(field.copy())))
     if isinstance(lens, FourierLens) and lens.objective.field_stop is not None:
-        field = _behind_field_stop(lens, field, grids.pitch, wavelength)
+        # Directions on the array are positions in the plane of the field stop.
+        with fft.resting_drjit():
+            spectrum = fft.fft2(field.copy())
+        y, x = (
+            np.fft.fftfreq(size, grids.pitch) * in_millimetres(wavelength) * lens.window.distance
+            for size in spectrum.shape
+        )
+        # The edge is softened over one sample.
+        inside = lens.field_inset(x, y[:, None]) / (x[1] - x[0])
+        spectrum *= active_backend().arrays.asarray(soft_edge(inside).astype(np.float32))
+        with fft.resting_drjit():
+            field = fft.fft2(spectrum, inverse=True)
     stop = SampledField(
         field[::-1, ::-1],
         (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
         sample,
     )
     return stop, Arrival(field * np.float32(abs(scale)), 0, ())
-
-
-def _behind_field_stop(lens: FourierLens, field: Field, pitch: float, wavelength: float) -> Field:
-    """Return a field on the array as the field stop leaves it: directions there are positions in its plane."""
-    with fft.resting_drjit():
-        spectrum = fft.fft2(field.copy())
-    y, x = (np.fft.fftfreq(size, pitch) * in_millimetres(wavelength) * lens.window.distance for size in spectrum.shape)
-    # The edge is softened over one sample.
-    inside = lens.field_inset(x, y[:, None]) / (x[1] - x[0])
-    spectrum *= active_backend().arrays.asarray(soft_edge(inside).astype(np.float32))
-    with fft.resting_drjit():
-        return fft.fft2(spectrum, inverse=True)
 
 
 def _stop_field(
@@ -424,7 +425,7 @@ def _stop_field(
 ) -> Any:
     """Return the field at positions on the stop, with power 1 before vignetting, its edge softened over one sample."""
     types = active_backend().types
-    point = tuple(dr.opaque(types.Float64, float(coordinate)) for coordinate in position)
+    point = _opaque(position)
 
     def soften(inside: Any) -> Any:
         return types.Float(soft_edge(inside / sample))

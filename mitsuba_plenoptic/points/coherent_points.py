@@ -1,7 +1,5 @@
 """Complex fields of mutually coherent points, and their adjoints: what `CaptureOperator` has of extension `laser`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

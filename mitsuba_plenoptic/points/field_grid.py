@@ -72,7 +72,7 @@ def lens_amplitude(camera: PlenopticCamera, x: Any, y: Any, steps: Doubles) -> A
     if lattice.displacement is not None:
         # Once for all parts, as displacements are smooth.
         x, y = lattice.displacement.regular(x, y)
-    amplitude: Any = 0.0
+    amplitude = 0.0
     for right, up in (_WITHIN * steps).tolist():
         cell = lattice.regular.cell(x + dr.opaque(type(x), right), y + dr.opaque(type(y), up))
         amplitude += dr.sqrt(table.at(lattice, *cell))

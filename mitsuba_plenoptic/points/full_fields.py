@@ -103,8 +103,8 @@ def point_fields(
     detector = to_detector(system, grids, microlenses)
     with retained_workspace([*array.steps, *detector.steps]) as workspace, fft.resting_drjit():
         mla = workspace.whole(array.forward(workspace.blocks(light.source, light.first), workspace), grids.shape)
-        seen = workspace.whole(detector.forward(workspace.blocks(mla), workspace), grids.shape)
-    planes = pupil, *(SampledField(samples, grids.origin, grids.pitch) for samples in (mla, seen))
+        detected = workspace.whole(detector.forward(workspace.blocks(mla), workspace), grids.shape)
+    planes = pupil, *(SampledField(samples, grids.origin, grids.pitch) for samples in (mla, detected))
     return PointFields(*(SampledField(active_backend().to_host(p.samples), p.origin, p.pitch) for p in planes))
 
 
@@ -305,7 +305,7 @@ class FullFieldSum:
     def __init__(self, plan: FullFieldPlan, weights: Doubles) -> None:
         self._plan, self._weights = plan, weights.astype(np.float32)
         self._lit = np.flatnonzero(weights.any(1))
-        self.arrays: Any = np
+        self.arrays = np
         self.box = plan.box
         self.channels = weights.shape[1]
         self.items = np.ones(len(self._lit), np.int64)

@@ -222,11 +222,6 @@ class Memory:
         """Return the product of two arrays."""
         return self.arrays.multiply(first, second, out=self.take(np.broadcast_shapes(first.shape, second.shape)))
 
-    def conjugate_product(self, factor: Field, field: Field) -> Field:
-        """Return the product of the conjugate of an array and a field of the same shape."""
-        conjugate = self.arrays.conj(factor, out=self.take(factor.shape))
-        return self.arrays.multiply(conjugate, field, out=conjugate)
-
     def widened(self, field: Field, length: int, axis: int) -> Field:
         """Return a field with zeros appended along one of its last two axes, -1 or -2."""
         shape = list(field.shape)
@@ -322,14 +317,24 @@ class FieldChain:
         memory = self._memory
         arrays = self._arrays
         spectrum = self._from_detector(gradient)
-        parts: list[Field | None] = [memory.conjugate_product(self._spectrum, spectrum) if varies[-1] else None]
+        parts: list[Field | None] = [None]
+        if varies[-1]:
+            conjugate = arrays.conj(self._spectrum, out=memory.take(self._spectrum.shape))
+            parts = [arrays.multiply(conjugate, spectrum, out=conjugate)]
         field = self._before_space(spectrum)
         varying = list(varies[1:-1])
         for (axes, factors), before in zip(self._stages[::-1], self._before[::-1], strict=True):
             field = self._inverse(field, self._size, axes)
             product = arrays.multiply(arrays.conj(before, out=before), field, out=before)
-            for index in reversed(range(len(factors))):
-                parts.append(self._cotangent(product, factors, index) if varying.pop() else None)
+            for index, (of_factor, _) in reversed(list(enumerate(factors))):
+                if not varying.pop():
+                    parts.append(None)
+                    continue
+                cotangent = product
+                for _, factor in factors[:index] + factors[index + 1 :]:
+                    cotangent = memory.product(cotangent, arrays.conj(factor))
+                # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
+                parts.append(cotangent.sum(of_factor[0] - 2) if len(of_factor) == 1 else cotangent)
             for _, factor in factors:
                 field *= arrays.conj(factor, out=memory.take(factor.shape))
             field = _forward(field, self._directions, axes)
@@ -359,14 +364,6 @@ class FieldChain:
         for _, factor in factors:
             field = self._memory.product(field, factor)
         return field
-
-    def _cotangent(self, product: Field, factors: list[_Factor], index: int) -> Field:
-        """Return the cotangent of one factor of a stage from the cotangent of the product of all its factors."""
-        for _, factor in factors[:index] + factors[index + 1 :]:
-            product = self._memory.product(product, self._arrays.conj(factor))
-        # The camera's axis 0 is along the last axis of fields, so that a factor along x is summed over rows.
-        axes, _ = factors[index]
-        return product.sum(axes[0] - 2) if len(axes) == 1 else product
 
     def _intensity_change(self, spectrum: Field) -> Any:
         """Return the change of the intensity for a change of the spectrum on the detector, whose memory is reused."""

@@ -4,8 +4,6 @@ Apart from these factors, a field depends only on Fourier transforms of fixed si
 that enter the factors may be floats or Dr.Jit arrays with gradients, while grids and positions are fixed.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -142,7 +140,7 @@ class PatchFactors:
         self.first_directions = self.chief - self._low
         columns, rows = (int(size) for size in self.chief.max(0) - self._low + self.samples)
         on_array = [(count, *[self.mla_samples] * len(axes)) for axes in self.axes]
-        self.shapes: list[tuple[int, ...]] = [(count, directions, directions), *on_array, (rows, columns)]
+        self.shapes = [(count, directions, directions), *on_array, (rows, columns)]
 
     @functools.cached_property
     def _own(self) -> Elements:
@@ -199,8 +197,7 @@ class PatchFactors:
         grid = self._grid
         placement = self._placement
         _, size, _ = self.shapes[0]
-        index = dr.arange(types.UInt32, len(self._positions) * size * size)
-        patch, row, column = fft.split(types, index, size, size)
+        patch, row, column = fft.images_rows_and_columns(types, *self.shapes[0])
 
         def value(values: Array) -> Any:
             return self._each(values, patch)
@@ -285,7 +282,7 @@ class PatchFactors:
         types = self._types
         placement = self._placement
         shape = len(self._positions), self.mla_samples
-        _, patch, sample = fft.split(types, dr.arange(types.UInt32, math.prod(shape)), *shape)
+        patch, sample = fft.rows_and_columns(types, *shape)
         m = self._position(patch, sample, axis)
         image = self._each(placement.image[:, axis], patch)
         growth = elements.growth
@@ -308,7 +305,7 @@ class PatchFactors:
         """Return the factor of both coordinates, (n, along y, along x): microlenses if not separable, brightness."""
         types = self._types
         size = self.mla_samples
-        patch, row, column = fft.split(types, dr.arange(types.UInt32, len(self._positions) * size * size), size, size)
+        patch, row, column = fft.images_rows_and_columns(types, len(self._positions), size, size)
         x, y = (self._position(patch, sample, axis) * elements.growth for axis, sample in enumerate((column, row)))
         product = types.Complex2f(types.Float(lens_amplitude(self._grid.camera, x, y, self._mla_steps)))
         for factor in elements.array(self._highest):
@@ -319,8 +316,7 @@ class PatchFactors:
     def _transfer(self, elements: Elements) -> Any:
         """Return the transfer function from MLA to detector, times what pixels record of each direction."""
         types = self._types
-        rows, columns = self.shapes[-1]
-        _, row, column = fft.split(types, dr.arange(types.UInt32, rows * columns), rows, columns)
+        row, column = fft.rows_and_columns(types, *self.shapes[-1])
         sx, sy = (
             (types.Float64(index) + self._constant(float(self._low[axis] - self.samples // 2)))
             * self._constant(self._steps[axis])

@@ -102,25 +102,21 @@ class PatchPlan:
         self._positions, self._placement = patterns.positions[pattern_numbers], placement.take(pattern_numbers)
         self._passed = passed_part(camera.vignetting, self._grid.lens, points)
         self._slant = None if patterns.slant is None else patterns.slant[pattern_numbers]
-        self._chunks = self._sort()
-
-    def _sort(self) -> list[Integers]:
-        """Return the patterns divided into chunks."""
+        # The patterns divided into chunks.
+        self._chunks: list[Integers] = []
         samples = self._placement.samples
         corner = self._placement.corner
         if not len(samples):
-            return []
+            return
         area = _areas(samples)
         alone = self._last - self._first == 1
         keys = corner[:, 0] // area, corner[:, 1] // area, samples, alone
-        order = np.lexsort(keys)
-        changes = np.any([np.diff(key[order]) != 0 for key in keys], axis=0)
+        sorted_patterns = np.lexsort(keys)
+        changes = np.any([np.diff(key[sorted_patterns]) != 0 for key in keys], axis=0)
         # A device takes all work from one thread.
         most = _CHUNK if on_cuda() else min(_CHUNK, max(_FEW, len(samples) // _CHUNKS))
-        chunks = []
-        for group in np.split(order, np.flatnonzero(changes) + 1):
-            chunks += chunks_of(self._grid, self._placement, group, most)
-        return chunks
+        for group in np.split(sorted_patterns, np.flatnonzero(changes) + 1):
+            self._chunks += chunks_of(self._grid, self._placement, group, most)
 
     # -- forward ---------------------------------------------------------------------------------------
 
@@ -217,15 +213,12 @@ class PatchPlan:
             return None
         if not self._passes_all:
             chunks = self._alike(_some(np.concatenate(chunks)))
-            arrived = sum(self._arrived(chunk, weights) for chunk in chunks)
+            # As if pixels recorded all of the light there.
+            grid = replace(self._grid, camera=clear(self._grid.camera))
+            power = np.add.reduceat(weights[self._order].sum(1), self._first)
+            arrived = sum(float(power[chunk] @ arrived_power(self._fields(chunk, grid))) for chunk in chunks)
         sent = self._sent(chunks, weights)
         return 1 - arrived / sent if sent else None
-
-    def _arrived(self, chunk: Integers, weights: Doubles) -> float:
-        """Return the sum of all samples of a chunk's patches, as if pixels recorded all of the light there."""
-        power = np.add.reduceat(weights[self._order].sum(1), self._first)[chunk]
-        grid = replace(self._grid, camera=clear(self._grid.camera))
-        return float(power @ arrived_power(self._fields(chunk, grid)))
 
     def _sent(self, chunks: list[Integers], weights: Doubles) -> float:
         """Return the sum of all samples if all power through the apertures fell on the patches."""
@@ -276,7 +269,7 @@ class PatchPlan:
     def _tile(self, samples: Floats, box: Box) -> Floats:
         """Return a rectangle of recorded samples (channels, rows, columns), padded with zeros, where they lie."""
         recorded = self._recorder.box
-        tile: Floats = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
+        tile = backend_of(samples).arrays.zeros((len(samples), box.rows, box.columns), np.float32)
         top = box.top - recorded.top
         left = box.left - recorded.left
         rows = slice(max(top, 0), min(top + box.rows, recorded.rows))
@@ -334,7 +327,7 @@ class PatchSum:
         self._plan = plan
         self._weights = weights
         self._chunks, self.items = plan.lit_chunks(weights)
-        self.arrays: Any = active_backend().arrays
+        self.arrays = active_backend().arrays
         self.box = plan._recorder.box
         self.channels = weights.shape[1]
 

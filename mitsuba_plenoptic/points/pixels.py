@@ -84,15 +84,11 @@ class PixelAxis:
             node_weights = node_weights * (self.edge - self.start + position * self.pitch)
         return _interpolation(position, node_weights, self.samples)
 
-    def at_edges(self, speed: Doubles) -> scipy.sparse.csr_array:
+    def at_edges(self, speed: Any) -> scipy.sparse.csr_array:
         """Return the weights of the intensity at each pixel's two edges, last minus first, times the edges' speeds."""
         position = (self.start + np.arange(self.count + 1) * self.pixel_size) / self.pitch
         both = np.stack([position[:-1], position[1:]], -1)
         return _interpolation(both, np.stack([-speed[:-1], speed[1:]], -1), self.samples)
-
-    def edges_from(self, origin: float) -> Doubles:
-        """Return the distances of all pixel edges from an origin, (count + 1,)."""
-        return np.asarray(self.edge + np.arange(self.count + 1) * self.pixel_size - origin, np.float64)
 
 
 def _interpolation(position: Doubles, factors: Doubles, samples: int) -> scipy.sparse.csr_array:
@@ -160,7 +156,8 @@ class PixelIntegrals:
         """Return the derivatives with respect to the width of the detector, which grows about its middle."""
         along_x, along_y = self._axes
         edges_x, edges_y = (
-            axis.at_edges(axis.edges_from(centre) / width) for axis, centre in zip(self._axes, middle, strict=True)
+            axis.at_edges((axis.edge + np.arange(axis.count + 1) * axis.pixel_size - centre) / width)
+            for axis, centre in zip(self._axes, middle, strict=True)
         )
         return PixelIntegrals(*self._axes, [(along_y.weights, edges_x), (edges_y, along_x.weights)])
 
@@ -231,7 +228,7 @@ class TurnedSamples:
         new_pitch: float,
         new_origin: tuple[float, float],
         shape: tuple[int, int],
-        regular: Callable[[Any, Any], Pair] | None = None,
+        regular: Callable[[Any, Any], Pair] | None,
     ) -> None:
         self._samples = samples
         self._regular = regular
@@ -308,7 +305,7 @@ class TurnedSamples:
         for top in range(0, height, together):
             lines = slice(top, min(height, top + together))
             count = (lines.stop - top) * width
-            _, row, column = fft.split(types, dr.arange(types.UInt32, count), lines.stop - top, width)
+            row, column = fft.rows_and_columns(types, lines.stop - top, width)
             x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
             y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
             if self._regular is not None:

@@ -45,7 +45,7 @@ class PupilWeights:
         if weights is None:
             return None
         if isinstance(weights, PupilWeights):
-            shape: tuple[int, ...] = (len(weights.index), *weights.table.shape[1:])
+            shape = (len(weights.index), *weights.table.shape[1:])
         else:
             shape = np.shape(weights)
         refuse_if(

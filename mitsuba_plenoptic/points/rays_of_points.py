@@ -1,10 +1,7 @@
 """The point spread of a scene point by rays: samples of the pupil, followed to the detector."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -49,7 +46,7 @@ def ray_spread(
         on_array = tuple(np.ravel(axis) for axis in light.land(pupil, (x, y, z)))
         if camera.vignetting is not None:
             power *= camera.vignetting.power(*radii, *on_array)
-        landed: Any = on_array
+        landed = on_array
         before = pupil
         depth = lens.pupil.distance
         if walk is not None:

@@ -3,8 +3,6 @@
 Directions are given as direction cosines, as in the angular spectrum.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..errors import InputError, refuse_if, warn
+from ..errors import refuse_if, warn
 from ..fields import OpticalSystem
 from ..io import digest
 from ..lenses import RealLens
@@ -78,16 +78,16 @@ def sample_pairs(count: int, seed: int = 0) -> Doubles:
 def require_matte(scene: Any, sensor: Any, integrator: Any) -> None:
     """Refuse a scene unless all light comes directly from matte or emitting surfaces."""
     label = "method = points"
-    if sensor.shutter_open_time() > 0:
-        raise InputError(f"{label}: the shutter is open for {sensor.shutter_open_time():g}: it needs a scene at rest")
-    if getattr(integrator, "hide_emitters", False):
-        raise InputError(
-            f"{label}: nested {integrator.class_name()}: hide_emitters lets rays pass emitters; leave it out"
-        )
-    if scene.environment() is not None:
-        raise InputError(f"{label}: emitter {scene.environment().id()} is infinitely far: it needs surfaces")
-    if sensor.get_medium() is not None:
-        raise InputError(f"{label}: the sensor is in a medium: it needs empty space")
+    shutter = sensor.shutter_open_time()
+    hides = getattr(integrator, "hide_emitters", False) and integrator.class_name()
+    sky = scene.environment() and scene.environment().id()
+    for fault, reason in (
+        (shutter > 0, f"the shutter is open for {shutter:g}: it needs a scene at rest"),
+        (hides, f"nested {hides}: hide_emitters lets rays pass emitters; leave it out"),
+        (sky is not None, f"emitter {sky} is infinitely far: it needs surfaces"),
+        (sensor.get_medium() is not None, "the sensor is in a medium: it needs empty space"),
+    ):
+        refuse_if(fault, f"{label}: {reason}")
     require_matte_surfaces(scene, label)
 
 
@@ -95,15 +95,14 @@ def require_matte_surfaces(scene: Any, label: str) -> None:
     """Refuse a scene with surfaces that are not matte, with media or with instances."""
     bent = mi.BSDFFlags.Glossy, mi.BSDFFlags.Delta, mi.BSDFFlags.Delta1D
     for shape in scene.shapes():
-        name = f"{label}: surface {shape.id()}"
-        refuse_if(
-            shape.class_name() == "Instance",
-            f"{name} is an instance, whose materials are not known: place the shapes themselves",
-        )
-        if shape.interior_medium() is not None or shape.exterior_medium() is not None:
-            raise InputError(f"{name} bounds a medium: it needs empty space")
-        if any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
-            raise InputError(f"{name} of type {shape.bsdf().class_name()} is not matte: it needs diffuse surfaces")
+        fault = None
+        if shape.class_name() == "Instance":
+            fault = "is an instance, whose materials are not known: place the shapes themselves"
+        elif shape.interior_medium() is not None or shape.exterior_medium() is not None:
+            fault = "bounds a medium: it needs empty space"
+        elif any(mi.has_flag(shape.bsdf().flags(), lobes) for lobes in bent):
+            fault = f"of type {shape.bsdf().class_name()} is not matte: it needs diffuse surfaces"
+        refuse_if(fault, f"{label}: surface {shape.id()} {fault}")
 
 
 def find_points(
@@ -280,10 +279,12 @@ class PointsCapture:
         points = find_points(self.lights, self.camera, spp, seed=seed)
         if not len(points.positions):
             warn("plenoptic_wave: no ray from the pupil meets anything that shines")
-        operator = self._operator(points)
         pupil = points.pupil_weights
+        operator = CaptureOperator(
+            self.camera, points.positions, spectrum=self.spectrum, accuracy=self.accuracy, pupil_weights=pupil
+        )
         weights = points.weights if self.upsampling is None else points.weights @ self.upsampling
-        masks: list[Array] = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
+        masks = [] if pupil is None else [pupil.table, pupil.index, pupil.slant]
         facts = {
             "points": len(points.positions),
             "scene_digest": lambda: digest(points.positions, points.weights, *masks),
@@ -296,13 +297,3 @@ class PointsCapture:
             # Negative values are errors of interpolation, unless responses are negative (colours outside of a gamut).
             np.maximum(image, 0, out=image)
         return image
-
-    def _operator(self, points: ScenePoints) -> CaptureOperator:
-        return CaptureOperator(
-            self.camera,
-            points.positions,
-            spectrum=self.spectrum,
-            method="patch",
-            accuracy=self.accuracy,
-            pupil_weights=points.pupil_weights,
-        )

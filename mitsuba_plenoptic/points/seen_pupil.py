@@ -4,8 +4,6 @@ Light of a point that passes the pupil point P meets the array where its ray doe
 seen from there. So each point has a pupil function, the same by rays and by waves.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

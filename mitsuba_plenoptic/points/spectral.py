@@ -1,7 +1,5 @@
 """Number of wavelengths at which point spreads must be computed for light of a band."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 
@@ -12,7 +10,6 @@ from ..errors import require_number
 from ..optics import Spectrum
 from ..runtime import Floats
 from .operator import CaptureOperator
-from .pupil_weights import PupilWeights
 
 _COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
@@ -23,7 +20,6 @@ def with_enough_nodes(
     points: Any,
     spectrum: Spectrum,
     error: float,
-    pupil_weights: Any = None,
 ) -> Spectrum:
     """Return a spectrum with as few nodes as accurate point spreads need.
 
@@ -33,7 +29,6 @@ def with_enough_nodes(
     `points` are a few representative points; `error` is relative (L2) and applies to the image of each channel.
     """
     error = require_number("error", error, positive=True)
-    weights = PupilWeights.of(pupil_weights, len(points))
     points = np.asarray(points, np.float64)
     most = len(set(spectrum.wavelengths))
 
@@ -45,7 +40,6 @@ def with_enough_nodes(
                 points[some],
                 spectrum=chosen,
                 accuracy=0.0,
-                pupil_weights=None if weights is None else weights.take(some),
                 virtual=True,
             ).forward(np.ones((len(some), len(spectrum.wavelengths))))
             for some in np.arange(len(points))[:, None]
@@ -58,7 +52,12 @@ def with_enough_nodes(
     last = [image[rows, columns] for image in last]
     for count, more in itertools.pairwise(counts):
         finer = images(more, recorded)
-        if all(_differ(a, b) <= error / 2 for a, b in zip(last, finer, strict=True)):
+        # In the channel where the relative difference (L2) is largest.
+        norms, changes = (
+            np.sqrt(np.sum(np.square(of_points, dtype=np.float64), axis=(1, 2)))
+            for of_points in (np.stack(finer), np.subtract(last, finer))
+        )
+        if (changes <= error / 2 * norms)[norms > 0].all():
             return spectrum.interpolated(count)
         last = finer
     return spectrum.interpolated(counts[-1])
@@ -75,10 +74,3 @@ def _recording(camera: PlenopticCamera, images: list[Floats]) -> tuple[Plenoptic
     offset = camera.crop_offset[0] + columns.start, camera.crop_offset[1] + rows.start
     size = columns.stop - columns.start, rows.stop - rows.start
     return camera.replace(crop_offset=offset, crop_size=size), rows, columns
-
-
-def _differ(image: Floats, reference: Floats) -> float:
-    """Return the relative difference (L2) between images, in the channel where it is largest."""
-    norms = np.sqrt(np.sum(np.square(reference, dtype=np.float64), axis=(0, 1)))
-    change = np.sqrt(np.sum(np.square(image - reference, dtype=np.float64), axis=(0, 1)))
-    return float(np.max(change[norms > 0] / norms[norms > 0], initial=0.0))

@@ -1,7 +1,5 @@
 """Sums of point spreads' intensities, and their products with images, on the rectangles of the grid they cover."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -168,8 +166,8 @@ def aperture_power(fields: Fields) -> Doubles:
         field = arrays.zeros((len(pupil), size, size), np.complex64)
         field[:, :directions, :directions] = pupil
         with fft.resting_drjit():
-            intensity: Any = arrays.abs(fft.fft2(field, inverse=True)) ** 2
-        patch, row, column = fft.split(types, dr.arange(types.UInt32, len(pupil) * size**2), size, size)
+            intensity = arrays.abs(fft.fft2(field, inverse=True)) ** 2
+        patch, row, column = fft.images_rows_and_columns(types, len(pupil), size, size)
         x, y = (
             dr.gather(types.Float64, drjit_array(types.Float64, start), patch)
             + types.Float64(index) * dr.opaque(types.Float64, float(step))

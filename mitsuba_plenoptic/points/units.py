@@ -1,7 +1,5 @@
 """The units of captures: a pixel is the mean radiance over its lens's area, or over the pupil without microlenses."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

@@ -74,7 +74,7 @@ def add_to_windows(sums: Floats, values: Floats, windows: Windows, weights: Floa
 
     On a device, the rounding depends on the order in which threads add.
     """
-    arrays: Any = backend_of(sums).arrays
+    arrays = backend_of(sums).arrays
     size = values.shape[1:]
     if arrays is np:
         rows, columns = size

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
+from ..design import crosstalk_neighbours, crosstalk_reach, lenses_in_stop, objective_of, pupil_growth
 from ..errors import refuse_if
 from ..lenses import chief_points, main_lens
 from ..runtime import Array, Pair, drjit_array
@@ -84,8 +84,6 @@ class LensChoice:
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
         fixed = square = False
         if camera.lens_data.images_stop:
-            from ..design import lenses_in_stop, objective_of
-
             lit, _ = lenses_in_stop(camera)
             refuse_if(not len(lit), "camera: no lens lies in the image of the stop; take narrower lenses")
             if fixed := len(lit) < len(lenses):
@@ -146,12 +144,12 @@ class LensChoice:
             tried = dr.maximum(sum((dr.select(mask, 1, 0) for mask in near), mi.Float(0)), 1)
         scaled = within * tried
         chosen = dr.minimum(dr.floor(scaled), tried - 1)
-        number = mi.UInt32(chosen)
+        drawn = mi.UInt32(chosen)
         passed = mi.Float(0)
         for index, is_tried in enumerate(near):
-            number = dr.select(is_tried & (passed == chosen), index, number)
+            drawn = dr.select(is_tried & (passed == chosen), index, drawn)
             passed += dr.select(is_tried, 1, 0)
-        return self.at(cell, number), scaled - chosen, number, tried
+        return self.at(cell, drawn), scaled - chosen, drawn, tried
 
 
 CHIEF = LensChoice(((0, 0),))

@@ -175,7 +175,7 @@ class PupilRays:
 
     def second_leg(self, ray: Ray) -> Pair:
         """Return the path of the light of rays in front of the detector: how far sideways, and how deep."""
-        return dr.hypot(*(P - p for P, p in zip(ray.P, ray.p, strict=True))), self.walk.lens.pupil.distance
+        return ray.aside(ray.P), self.walk.lens.pupil.distance
 
     def trace(self, pixel: Pair, pupil: Pair) -> Traced:
         """Return traced rays from detector points through points of the pupil."""
@@ -292,8 +292,7 @@ class LensRays:
 
     def second_leg(self, ray: Ray) -> Pair:
         """Return the path of the light of rays between array and detector: how far sideways, and how deep."""
-        depth = self.walk.detector_distance + self.walk.camera.array_height(*ray.m)
-        return dr.hypot(*(m - p for m, p in zip(ray.m, ray.p, strict=True))), depth
+        return ray.aside(ray.m), self.walk.detector_distance + self.walk.camera.array_height(*ray.m)
 
     def trace(self, pixel: Pair, passage: Passage) -> Traced:
         """Return traced rays from detector points through points of lenses."""

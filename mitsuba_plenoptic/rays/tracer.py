@@ -51,6 +51,10 @@ class Ray(NamedTuple):
     origin: Any = None
     slope: Any = None
 
+    def aside(self, start: Pair) -> Any:
+        """Return how far sideways the rays go from points in front of the detector to it."""
+        return dr.hypot(start[0] - self.p[0], start[1] - self.p[1])
+
 
 @dataclass(frozen=True)
 class Walk:
@@ -251,7 +255,8 @@ def follow_back(p: Any, m: Any, c: Any, distance: float, camera: PlenopticCamera
 
     One axis at a time; returns the points of the pupil, and those of the plane, which may be at infinity, times -b / g.
     """
-    t = rays.microlens_slope(p, m, c, camera.reduced_distance, camera.mla_focal_lengths[0] / camera.mla_medium)
+    # The slope after the microlens: (m - p)/z - (m - c)/f2.
+    t = (m - p) / camera.reduced_distance - (m - c) / (camera.mla_focal_lengths[0] / camera.mla_medium)
     P = rays.pupil_point(m, t, camera.mla_distance)
     slope = rays.main_lens_slope(t, P, camera.focal_length)
     return P, -camera.mla_distance * rays.object_direction(P, slope, distance)

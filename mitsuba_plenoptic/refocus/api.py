@@ -160,7 +160,12 @@ def reconstruct(
     require_support(tilted, chosen.use)
     # A method that knows aberrations knows unequal lenses, too, and divides by what it computes.
     as_recorded = chosen.as_recorded or (chosen.as_it_is and reference is None)
-    capture = original if as_recorded else _straight(original)
+    capture = original
+    if not as_recorded:
+        # As lenses without displacement and of equal brightness would have recorded it.
+        image = straightened_image(np.atleast_3d(original.image), tilted)
+        image = image.reshape(original.image.shape)
+        capture = dataclasses.replace(original, camera=straightened(tilted), image=image)
     image = np.atleast_3d(capture.image)
     camera = capture.camera
     options_used = used_by(
@@ -243,12 +248,6 @@ def reconstruct(
         )
         results.append(result)
     return results[0] if np.ndim(distance) == 0 else Reconstructions(results)
-
-
-def _straight(capture: Capture) -> Capture:
-    """Return a capture as lenses without displacement and of equal brightness would have recorded it."""
-    image = straightened_image(np.atleast_3d(capture.image), capture.camera)
-    return dataclasses.replace(capture, camera=straightened(capture.camera), image=image.reshape(capture.image.shape))
 
 
 def _resolutions(

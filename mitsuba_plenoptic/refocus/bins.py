@@ -8,8 +8,6 @@ interpolation for digital image processing", 1981); the integral is the sum of t
 near each.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 

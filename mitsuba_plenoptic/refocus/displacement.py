@@ -17,8 +17,6 @@ from which they receive their light (a local linear regression: Fan and Gijbels,
 Applications", section 3.1).
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 
@@ -32,6 +30,7 @@ from ..design import focus_type
 from ..optics import in_millimetres, rays, soft_edge
 from ..rays import follow_back
 from ..runtime import Doubles, Floats, require_memory
+from .splatting import pixel_rows
 
 
 class PupilCentroid:
@@ -110,15 +109,10 @@ def rising(
     """
     lights = [None] * white.shape[2] if wavelengths is None else list(wavelengths)
     centroids = {light: PupilCentroid(camera, light) for light in lights if light is not None}
-    px = camera.pixel_coordinates(0)
-    py = camera.pixel_coordinates(1)
-    height = max(1, _BLOCK // len(px))
     for distance, axis in itertools.product(distances, (0, 1)):
         image = np.empty_like(white)
         slope, farthest, of_pupil = tilt(camera, distance)
-        for first in range(0, len(py), height):
-            rows = slice(first, first + height)
-            p = px, py[rows, None]
+        for rows, *p in pixel_rows(camera, _BLOCK):
             cells = rays.chief_lenses(camera, *p)
             ends = [
                 np.broadcast_arrays(*follow_back(q, c, c, distance, camera))

@@ -1,7 +1,5 @@
 """Estimates of the time and memory that reconstructions take."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -223,9 +223,9 @@ class LensSet:
         # Samples across the lenses whose light comes from the detector at once.
         width = max(2**10 * self.tile.pitch, 4 * self.tile.cell_width)
         column, row = ((self.centre[which] - self.centre.min(0)) // width).T
-        number = row * (column.max(initial=0) + 1) + column
-        for block in np.unique(number):
-            yield which[number == block]
+        square = row * (column.max(initial=0) + 1) + column
+        for block in np.unique(square):
+            yield which[square == block]
 
     def to_array(self, which: Array) -> Step:
         """Return the step from the pixels around some lenses to samples on the array, which hold their windows."""
@@ -345,12 +345,10 @@ def pupil_fields(light: Field, tile: LensTile, batch: LensBatch, *, relay: bool)
         if relay:
             waves = waves + parabola(offset**2, batch.focal_length[:, None], tile.wavelength)
         cell *= arrays.asarray(phasor(waves))[shape]
-    return arrays.ascontiguousarray(_product(_product(cell, tile.to_pupil), tile.to_pupil))
-
-
-def _product(fields: Field, matrix: Field) -> Field:
-    """Return the product of a matrix (p, i) with fields (n, i, j) over i, transposed: (n, j, p)."""
-    return active_backend().arrays.tensordot(fields, matrix, (1, 1))
+    # From (lenses, i, j) to (lenses, j, p), and again.
+    for _ in range(2):
+        cell = arrays.tensordot(cell, tile.to_pupil, (1, 1))
+    return arrays.ascontiguousarray(cell)
 
 
 def object_patches(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conjugates: Conjugates) -> Array:
@@ -381,10 +379,7 @@ def _aim(fields: Field, tile: LensTile, batch: LensBatch, distance: float, conju
     types = active_backend().types
     camera = tile.camera
     wave = in_millimetres(tile.wavelength)
-    n = len(fields)
-    count = tile.pupil.size
-    index = dr.arange(types.UInt32, n * count * count)
-    lens, row, column = fft.split(types, index, count, count)
+    lens, row, column = fft.images_rows_and_columns(types, *fields.shape)
     P = drjit_array(types.Float64, tile.pupil)
     u = dr.gather(types.Float64, P, column)
     v = dr.gather(types.Float64, P, row)

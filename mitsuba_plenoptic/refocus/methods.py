@@ -3,8 +3,6 @@
 Each method is a module that registers one function of a `Task`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

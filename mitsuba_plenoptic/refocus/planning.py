@@ -30,8 +30,6 @@ and vanishes at infinity. This neglects :math:`3 \theta^2 P^2 / 4 g` at the angl
 of a wave at the edge of the paper's field; the error does not grow with the distance.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

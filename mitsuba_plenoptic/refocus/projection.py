@@ -61,7 +61,22 @@ def ray_sums(
         values > _MOST_VALUES,
         f"images of {columns} x {rows} bins: {values} values are summed at once, at most {_MOST_VALUES} can be",
     )
-    return bin_image(image, x, y, radius)
+    types = array_module()
+    height, width, channels = image.shape
+    if not (x.weights.nnz and y.weights.nnz):
+        # No pixel meets a bin.
+        return np.zeros((rows, columns, channels), np.float32)
+    pixels = drjit_array(types.Float, image)
+    across = columns * channels
+    thread = dr.arange(types.UInt32, height * across)
+    row = thread // across
+    remainder = thread % across
+    limit = drjit_array(types.Float, radius**2 - y.pupil**2)
+    base = row * dr.opaque(types.UInt32, width * channels) + remainder % channels
+    by_row = _sums(types, pixels, x, remainder // channels, base, channels, dr.gather(types.Float, limit, row))
+    thread = dr.arange(types.UInt32, rows * across)
+    sums = _sums(types, by_row, y, thread // across, thread % across, across)
+    return sums.numpy().reshape(rows, columns, channels)
 
 
 def aligned_axes(
@@ -81,8 +96,8 @@ def _axis(
     count = camera.bin_count[axis] * oversample
     p = camera.pixel_coordinates(axis)
     chief = rays.chief_point(camera, p)
-    c = camera.lattice.axis_centre(camera.lattice.axis_cell(chief, axis), axis)
-
+    index = camera.lattice.axis_cell(chief, axis)
+    c = camera.lattice.centre(index, index)[axis]
     pupil, position = follow_back(p, c, c, distance, camera)
     centre = position * (oversample / camera.row_pitch) + count / 2
     if footprint == "point":
@@ -136,28 +151,6 @@ def axis_bins(low: Array, high: Array, pupil: Array, count: int, radius: float) 
     keep = (weight > 1e-6) & (bins >= 0) & (bins < count)
     entries = weight[keep].astype(np.float32), (bins[keep], np.broadcast_to(pixels[:, None], bins.shape)[keep])
     return AxisBins(csr_matrix(entries, (count, pupil.size)), pupil)
-
-
-def bin_image(image: Array, x: AxisBins, y: AxisBins, radius: float) -> Array:
-    """Return an image's sums over the bins of both axes, within the pupil."""
-    types = array_module()
-    rows, columns, channels = image.shape
-    across = x.weights.shape[0]
-    down = y.weights.shape[0]
-    if not (x.weights.nnz and y.weights.nnz):
-        # No pixel meets a bin.
-        return np.zeros((down, across, channels), np.float32)
-    values = drjit_array(types.Float, image)
-    thread = dr.arange(types.UInt32, rows * across * channels)
-    row = thread // (across * channels)
-    remainder = thread % (across * channels)
-    limit = drjit_array(types.Float, radius**2 - y.pupil**2)
-    base = row * dr.opaque(types.UInt32, columns * channels) + remainder % channels
-    by_row = _sums(types, values, x, remainder // channels, base, channels, dr.gather(types.Float, limit, row))
-    width = across * channels
-    thread = dr.arange(types.UInt32, down * width)
-    sums = _sums(types, by_row, y, thread // width, thread % width, width)
-    return sums.numpy().reshape(down, across, channels)
 
 
 def _sums(types: Any, values: Any, bins: AxisBins, index: Any, base: Any, stride: int, limit: Any = None) -> Any:

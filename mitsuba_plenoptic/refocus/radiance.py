@@ -7,8 +7,6 @@ receives less than 1 % of the rays of the best bin contains hardly any light, an
 white also shows the positions from which bins receive their light; the image is corrected for their displacements.
 """
 
-from __future__ import annotations
-
 import itertools
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -107,11 +105,11 @@ def divided_by_white(
     options, `key`.
     """
     sums = []
-    for number, (image, distances, progress) in enumerate(captures(task)):
+    for index, (image, distances, progress) in enumerate(captures(task)):
         make = partial(sums_of, image, distances, progress)
-        if number and task.white is None:
-            known = digest(image), tuple(distances), task.oversample, *key
-            sums.append(_sums_of_white(task.camera, *known, make=make))
+        if index and task.white is None:
+            facts = digest(image), tuple(distances), task.oversample, *key
+            sums.append(_sums_of_white(task.camera, *facts, make=make))
             progress(1.0)
         else:
             sums.append(make())

@@ -1,7 +1,5 @@
 """Refocusing with the ray model, after Ng, "Digital Light Field Photography" (2006), section 4."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..runtime import Array

@@ -202,23 +202,27 @@ def _landing(
     return sample, lens_type, pixels
 
 
+def pixel_rows(camera: PlenopticCamera, most: int) -> Iterator[tuple[slice, Doubles, Doubles]]:
+    """Yield rows of about `most` pixels, with x and, in a column, y of the pixels' centres in millimetres."""
+    x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
+    height = max(1, most // x.size)
+    for rows in (slice(first, first + height) for first in range(0, y.size, height)):
+        yield rows, x, y[rows, None]
+
+
 def thin_places(camera: PlenopticCamera, distance: float, radius: float) -> Iterator[tuple[slice, Array, Array, Array]]:
     """Yield the result of `traced_places` for a thin main lens, where rays are linear in pixel and lens centre."""
     of_pixel = np.array(follow_back(1.0, 0.0, 0.0, distance, camera))
     of_lens = np.array(follow_back(0.0, 1.0, 1.0, distance, camera))
-    px = camera.pixel_coordinates(0)
-    down = camera.pixel_coordinates(1)
-    height = max(1, _BLOCK // px.size)
-    for first in range(0, down.size, height):
-        p = px, down[first : first + height, None]
+    for rows, *p in pixel_rows(camera, _BLOCK):
         cell = rays.chief_lenses(camera, *p)
-        shape = p[1].size, px.size
         (Px, x), (Py, y) = (
             [(pixel * q + lens * c) for pixel, lens in zip(of_pixel, of_lens, strict=True)]
             for q, c in zip(p, camera.lattice.centre(*cell), strict=True)
         )
-        x, y = (np.broadcast_to(values, shape).reshape(-1) for values in (x, y))
-        yield slice(first, first + shape[0]), x, y, Px**2 + Py**2 <= radius**2
+        is_lit = Px**2 + Py**2 <= radius**2
+        x, y = (np.broadcast_to(values, is_lit.shape).reshape(-1) for values in (x, y))
+        yield rows, x, y, is_lit
 
 
 def stop_image_places(camera: PlenopticCamera, distance: float) -> Iterator[tuple[slice, Doubles, Doubles, Flags]]:
@@ -228,17 +232,14 @@ def stop_image_places(camera: PlenopticCamera, distance: float) -> Iterator[tupl
     taken to be dark.
     """
     lenses = lens_directions(camera)
-    px = camera.pixel_coordinates(0)
-    down = camera.pixel_coordinates(1)
-    height = max(1, _BLOCK // px.size)
-    for first in range(0, down.size, height):
-        p = [values.ravel() for values in np.meshgrid(px, down[first : first + height])]
+    for rows, *places in pixel_rows(camera, _BLOCK):
+        p = [values.ravel() for values in np.meshgrid(*places)]
         number = lenses.at(*camera.lattice.cell(*p))
         x, y = (
             -camera.row_pitch * ((q - middle) / camera.pixel_size + distance * slope / camera.bin_size(distance))
             for q, middle, slope in zip(p, lenses.middle[number].T, lenses.slope[number].T, strict=True)
         )
-        yield slice(first, first + p[0].size // px.size), x, y, number >= 0
+        yield rows, x, y, number >= 0
 
 
 def traced_places(camera: PlenopticCamera, distance: float) -> Iterator[tuple[slice, Doubles, Doubles, Flags]]:

@@ -20,8 +20,6 @@ image and multiplied by that of the even camera. Light that vignetting keeps out
 `passed_light` tells methods how much remains of a white scene's light.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 
@@ -32,6 +30,7 @@ from ..array import Displacement
 from ..camera import PlenopticCamera, once_a_camera
 from ..runtime import Floats, Pair
 from ..views import white_image
+from .splatting import pixel_rows
 
 _BLOCK = 2**20
 """Pixels that are looked up together."""
@@ -156,11 +155,8 @@ def passed_light(camera: PlenopticCamera) -> Floats | None:
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
     growth = camera.image_growth
-    px = camera.pixel_coordinates(0)
-    down = camera.pixel_coordinates(1)
-    height = max(1, _BLOCK // px.size)
-    for first in range(0, down.size, height):
-        p = np.meshgrid(px, down[first : first + height])
+    for rows, *positions in pixel_rows(camera, _BLOCK):
+        p = np.meshgrid(*positions)
         cells = regular.lattice.cell(*(q / growth for q in p))
         lens = camera.lenslet(*cells)
         nearer, larger = camera.tilted_growth(lens.height)
@@ -172,7 +168,7 @@ def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[s
             coordinate / camera.pixel_size + camera.resolution[axis] / 2 - 0.5 - camera.crop_offset[axis]
             for axis, coordinate in enumerate(places)
         )
-        yield slice(first, first + len(x)), x, y
+        yield rows, x, y
 
 
 def regular_place(camera: PlenopticCamera, x: Any, y: Any) -> Pair:

@@ -42,8 +42,6 @@ The chain of full fields goes detector -> array -> pupil -> object plane, one fi
 does its vjp back. It is linear in the amplitudes of the pixels; the power in bins is the square of its modulus.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -121,13 +119,15 @@ def _refocus(task: Task, interleave: int | str, relay: bool) -> list[Array]:
         # The shortest waves, which take the most memory, come first.
         channels = np.argsort(task.wavelengths).tolist()
         works = work_of([task.wavelengths[channel] for channel in channels])
-        found = {}
+        by_channel = {}
         for index, channel in enumerate(channels):
             system = task.system(task.wavelengths[channel])
-            given = image[..., channel], system, distances, task.distances, interleave, relay, task.oversample
+            arguments = image[..., channel], system, distances, task.distances, interleave, relay, task.oversample
             # What the guards find is of the capture, whether or not its white is known already.
-            found[channel] = _signed_power(*given, portion(progress, index, works), checked=image is task.image)
-        of_planes = zip(*(found[channel] for channel in sorted(found)), strict=True)
+            by_channel[channel] = _signed_power(
+                *arguments, portion(progress, index, works), checked=image is task.image
+            )
+        of_planes = zip(*(by_channel[channel] for channel in sorted(by_channel)), strict=True)
         return [np.stack(planes, axis=-1) for planes in of_planes]
 
     key = tuple(task.wavelengths), interleave, relay
@@ -166,17 +166,17 @@ def _signed_power(
     wavelength = system.wavelength
     fine = fine_bins(system, oversample)
     real = None
-    seen = camera
+    thin = camera
     columns, rows = (count * oversample * fine for count in camera.bin_count)
     check_memory(8.0 * rows * columns * (len(distances) + 1), f"wave reconstruction on {columns} x {rows} bins")
     planes = list(distances)
     sampled = list(planned)
     if camera.lens_data.traced_surfaces:
         real = RealConjugates.of(system, sampled, oversample)
-        seen = real.camera
-        planes, sampled = ([real.distance(distance) for distance in each] for each in (distances, planned))
+        thin = real.camera
+        planes, sampled = ([real.distance(distance) for distance in group] for group in (distances, planned))
     parts = signed_parts(image)
-    found = [np.zeros(()) for _ in distances]
+    powers = [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
         options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": checked and sign > 0}
@@ -184,11 +184,11 @@ def _signed_power(
             "progress": portion(progress, index, [1] * len(parts)),
             "conjugates": real or ThinConjugates(system),
         }
-        period = full_field_period(part, seen, planes, wavelength) if isinstance(interleave, str) else interleave
+        period = full_field_period(part, thin, planes, wavelength) if isinstance(interleave, str) else interleave
         if period is None:
-            totals = reconstruct_lens_by_lens(part, seen, planes, wavelength, **options)
+            totals = reconstruct_lens_by_lens(part, thin, planes, wavelength, **options)
         else:
-            totals = reconstruct_subsets(part, seen, planes, wavelength, interleave=period, planned=sampled, **options)
+            totals = reconstruct_subsets(part, thin, planes, wavelength, interleave=period, planned=sampled, **options)
         for plane, (total, distance) in enumerate(zip(totals, distances, strict=True)):
             scale = lens_scale(camera, distance)
             if real is not None:
@@ -196,8 +196,8 @@ def _signed_power(
                 scale *= stretch
             if fine > 1 or real is not None:
                 total = over_lenses(total, camera, oversample, fine, scale)
-            found[plane] = found[plane] + sign * total
-    return found
+            powers[plane] = powers[plane] + sign * total
+    return powers
 
 
 def full_field_period(
@@ -437,9 +437,9 @@ class BackwardFields:
             to_device = self._workspace.libraries.arrays.asarray
             samples[to_device(numbers), to_device(places)] *= passed
             # A line's chord of the pupil: a mask of the whole would cost several times that.
-            for number, line in zip(range(lines.start, lines.stop), samples, strict=True):
-                chord = self._pupil.chord(number)
-                field[number, chord] += line[chord]
+            for index, line in zip(range(lines.start, lines.stop), samples, strict=True):
+                chord = self._pupil.chord(index)
+                field[index, chord] += line[chord]
 
 
 class _Pupil:
@@ -470,8 +470,8 @@ class _Pupil:
 
     def edge(self, lines: slice) -> tuple[Integers, Integers, Any]:
         """Return edge samples of some lines, by line and position, and the part of the field that passes."""
-        own = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
-        return self._lines[own] - lines.start, self._places[own], self._passed[own]
+        samples = slice(int(self._starts[lines.start]), int(self._starts[lines.stop]))
+        return self._lines[samples] - lines.start, self._places[samples], self._passed[samples]
 
 
 def _main_lens(step: Directions, zone: FieldZone) -> Element:

@@ -217,8 +217,9 @@ def rows_and_columns(types: Any, rows: int, columns: int) -> Pair:
     return row, index - row * dr.opaque(types.UInt32, columns)
 
 
-def split(types: Any, index: Any, rows: int, columns: int) -> Triple:
-    """Return a flat index as the indices of image, row and column."""
+def images_rows_and_columns(types: Any, images: int, rows: int, columns: int) -> Triple:
+    """Return the image, the row and the column of each sample of some images, line by line."""
+    index = dr.arange(types.UInt32, images * rows * columns)
     line = quotient(index, columns, types)
     image = quotient(line, rows, types)
     return (image, line - image * dr.opaque(types.UInt32, rows), index - line * dr.opaque(types.UInt32, columns))

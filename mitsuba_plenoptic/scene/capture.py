@@ -284,11 +284,9 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
     return integrator
 
 
-def film_memory(camera: PlenopticCamera, spp: int, columns: int | None = None) -> float:
-    """Return the memory of a ray capture in bytes, for the camera's film or a film of equal aspect with `columns`."""
-    pixels = float(camera.shape[0]) * camera.shape[1]
-    if columns is not None:
-        pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
+def film_memory(camera: PlenopticCamera, spp: int, columns: int) -> float:
+    """Return the memory of a ray capture in bytes, for a film of the camera's aspect with `columns`."""
+    pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
     return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 

@@ -149,7 +149,23 @@ class LightDerivatives(SceneLight):
     @classmethod
     def of(cls, light: SceneLight, forward: bool) -> LightDerivatives:
         """Return the derivatives of a light; refuse integrators and variants that Mitsuba cannot differentiate."""
-        integrator = _differentiable(light.integrator)
+        if mi.is_polarized:
+            raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
+        integrator = light.integrator
+        if not isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
+            is_native = type(integrator).__module__ == "mitsuba"
+            name = integrator.class_name() if is_native else type(integrator).__name__
+            refuse_if(
+                name not in _REPLAYED,
+                f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb",
+            )
+            # Integrators written in C++ show these parameters only in their description.
+            depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
+            # 2**31: Path depths from this value on mean that depth is not limited.
+            if depths["max_depth"] >= 2**31:
+                depths["max_depth"] = -1
+            plugin = {"type": _REPLAYED[name], **depths, "hide_emitters": integrator.hide_emitters}
+            integrator = mi.load_dict(plugin)
         name = type(integrator).__name__
         if forward and (name == _REVERSE_ONLY or mi.is_spectral):
             kind = f"nested {name}" if name == _REVERSE_ONLY else f"variant {mi.variant()}"
@@ -261,24 +277,6 @@ class ReplayedLight:
 def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
     """Return the arguments of an integrator's `sample` that are the same in all modes."""
     return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
-
-
-def _differentiable(integrator: Any) -> Any:
-    """Return an integrator that differentiates the radiance of the given one."""
-    if mi.is_polarized:
-        raise InputError(f"variant {mi.variant()}: scene parameters have no gradients in polarized variants")
-    if isinstance(integrator, mi.ad.integrators.common.RBIntegrator):
-        return integrator
-    name = type(integrator).__name__ if type(integrator).__module__ != "mitsuba" else integrator.class_name()
-    refuse_if(
-        name not in _REPLAYED, f"nested {name}: scene parameters have no gradients through it; use path, volpath or prb"
-    )
-    # Integrators written in C++ show these parameters only in their description.
-    depths = {key: int(value) for key, value in re.findall(r"\b(max_depth|rr_depth) = (\d+)", str(integrator))}
-    # 2**31: Path depths from this value on mean that depth is not limited.
-    if depths["max_depth"] >= 2**31:
-        depths["max_depth"] = -1
-    return mi.load_dict({"type": _REPLAYED[name], **depths, "hide_emitters": integrator.hide_emitters})
 
 
 def random_numbers(seed: int, lanes: int) -> Any:

@@ -1,7 +1,5 @@
 """Agreement of the views of a light field on the distance of each bin."""
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 import xarray as xr
@@ -141,7 +139,7 @@ class ViewComparison:
             # Counts, sums of values and of their squares over each quadrant of the pupil.
             sums = np.zeros((2, 2, 3, *lf.shape[2:4]), dtype=np.float64)
             for row, row_weight, *of_row in zip(plane, self._weight, *places, strict=True):
-                passed: list[tuple[Array, Array]] = []
+                passed = []
                 for view, view_weight, across, down in zip(row, row_weight, *of_row, strict=True):
                     if not view_weight.any():
                         continue

@@ -16,8 +16,6 @@ A light field without a camera (from a file of another program, say) has coordin
 on zero and rising with the index.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict

@@ -378,10 +378,7 @@ def is_focused(lf: xr.DataArray) -> bool:
 
 
 def disagreement_of_planes(
-    lf: xr.DataArray,
-    slopes: Array,
-    progress: Progress | None = None,
-    micro_images: MicroImages | None = None,
+    lf: xr.DataArray, slopes: Array, progress: Progress | None, micro_images: MicroImages | None
 ) -> tuple[Disagreement, float]:
     """Return the disagreement of views on planes of rising disparity, and the number of samples.
 

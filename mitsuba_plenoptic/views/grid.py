@@ -224,8 +224,7 @@ def lenses_of_pixels(camera: PlenopticCamera) -> Integers:
     x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
     index = np.empty((2, *camera.shape), np.int32)
     height = max(1, 2**20 // len(x))
-    for first in range(0, len(y), height):
-        rows = slice(first, first + height)
+    for rows in (slice(first, first + height) for first in range(0, len(y), height)):
         for indices, values in zip(index, rays.chief_lenses(camera, *np.meshgrid(x, y[rows])), strict=True):
             indices[rows] = np.rint(values)
     return index.astype(np.int64)
@@ -287,7 +286,7 @@ def covering_grid(shape: tuple[int, ...], origin: Array, vectors: Array, shifted
 
     Shapes: `shape` (int, int), `origin` (2,).
     """
-    corners = np.array([[0, 0], [shape[1], 0], [0, shape[0]], [shape[1], shape[0]]], dtype=np.float64)
+    corners = np.array(list(np.ndindex(2, 2))) * np.array(shape[1::-1], np.float64)
     index = np.linalg.solve(vectors.T, (corners - origin).T).T
     # A shifted row may begin half a step earlier.
     slack = np.array([0.5 if shifted else 0.0, 0.0])

@@ -14,8 +14,6 @@ from view to view. The recorded place of a sample is found iteratively, as its m
 mean point at the nominal place, depths of a camera of three focal lengths were 1 % off.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from functools import cached_property

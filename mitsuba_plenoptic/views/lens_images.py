@@ -4,8 +4,6 @@ A light field has square upright bins, which on other lattices are interpolated 
 this destroys detail finer than the pitch of the lenses, which its micro-images hold.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -74,7 +72,7 @@ def micro_images(
     -------
     MicroImages
     """
-    image, reference, seen, upright = checked_images(capture, camera, white, grid)
+    image, reference, fractions, upright = checked_images(capture, camera, white, grid)
     if upright is None:
         raise InputError("camera = None: of micro-images the camera must be known")
     refuse_if(
@@ -88,7 +86,7 @@ def micro_images(
         4.0 * size * (image.shape[2] + 2) + 12.0 * image.shape[0] * image.shape[1],
         f"micro-images of {lenses.shape[1]} x {lenses.shape[0]} lenses",
     )
-    values, _, weight = lens_samples(image, reference, seen, lenses, upright)
+    values, _, weight = lens_samples(image, reference, fractions, lenses, upright)
     return MicroImages(values, weight, lenses, bin_grid(upright), upright)
 
 

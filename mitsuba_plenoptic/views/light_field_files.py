@@ -1,7 +1,5 @@
 """Light fields by file name: the reader and writer for each suffix."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

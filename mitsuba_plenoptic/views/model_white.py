@@ -4,8 +4,6 @@ By waves it is a capture by signed rays of a radiance of 1, and right to 0.2 % o
 random rays are needed: behind `pixel_response` near the microlenses' focus, and `vignetting` without an array.
 """
 
-from __future__ import annotations
-
 import math
 from contextlib import nullcontext
 from typing import Any

@@ -1,7 +1,5 @@
 """Mosaics of light fields as pictures, with the samples of each lens, or of each view, together."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -6,14 +6,14 @@ likelihood proportional to :math:`r_d^{-N/2}`. For pure noise the ratio is 1 on 
 follows from the number of samples, so that the presence of any texture can be tested.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from scipy.special import erf, expit, logit
+
+from ..runtime import Array
 
 # A neighbour is on the same plane or, half as likely, on each of the next ones; with this probability on any.
 _NEXT = 0.5
@@ -43,16 +43,16 @@ class Choice:
     """Plane chosen for each bin, with its probability."""
 
     # Index of the plane, with fractions, (rows, columns).
-    plane: np.ndarray
+    plane: Array
     # That the plane is right within the tolerance; 0 where it is at an end of what can be compared, as the right one
     # may lie beyond it. Where a fraction a of the neighbours agrees it is at most 1 - (1 - a)^2: several planes explain
     # repeated texture about as well, and model errors choose among them from bin to bin; and beside an edge the edge
     # may be all the evidence that a bin has.
-    probability: np.ndarray
+    probability: Array
     # Where most neighbours agree.
-    agreed: np.ndarray
+    agreed: Array
     # Whether another valley of the disagreement is as deep: 0 up to half of the depth, 1 from three quarters on.
-    rival: np.ndarray
+    rival: Array
 
 
 @dataclass(frozen=True)
@@ -61,30 +61,30 @@ class Disagreement:
 
     # Variance about each plane over the variance that is to be explained, 1 of noise, (planes, rows, columns); NaN
     # where nothing can be compared.
-    ratio: np.ndarray
+    ratio: Array
     # Of noise alone, the ratio has a variance of 1 over this.
-    samples: np.ndarray
+    samples: Array
     # Deviation that is to be explained, over the brightness, (rows, columns).
-    contrast: np.ndarray
+    contrast: Array
     # Inverse distances of the planes, falling or rising.
-    inverse: np.ndarray
+    inverse: Array
     # Independent samples in a bin's window, like `ratio`, of the noise that moves the minimum.
-    independent: np.ndarray
+    independent: Array
     # Fraction of the variance that is to be explained which is noise, like `ratio`.
-    noise: np.ndarray | float = 0.0
+    noise: Array | float = 0.0
     # Deviation of errors whatever the noise, over the tolerance, like `ratio`.
-    off: np.ndarray | float = 0.0
+    off: Array | float = 0.0
 
 
 def disagreement(
-    ratio: np.ndarray,
-    total_variance: np.ndarray,
-    samples: np.ndarray,
-    independent: np.ndarray,
-    brightness: np.ndarray,
-    inverse: np.ndarray,
-    noise: np.ndarray | float = 0.0,
-    off: np.ndarray | float = 0.0,
+    ratio: Array,
+    total_variance: Array,
+    samples: Array,
+    independent: Array,
+    brightness: Array,
+    inverse: Array,
+    noise: Array | float,
+    off: Array | float,
 ) -> Disagreement:
     """Return the disagreement of views; deviations too small for the bins' brightness count as noise."""
     bright = np.maximum(brightness, 0.02 * brightness.mean()) + np.finfo(np.float32).tiny
@@ -137,7 +137,7 @@ def choose(views: Disagreement, samples: float, tolerance: float) -> Choice:
     return Choice(plane, probability, agreeing >= 0.5, rival)
 
 
-def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[np.ndarray, ...]:
+def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[Array, ...]:
     """Return the most probable planes with fractions, evidence on whether they are right, and what limits it.
 
     The evidence, (4, rows, columns), is one, followed by logarithms. The second entry is the log odds that the plane,
@@ -233,7 +233,7 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     return plane, np.stack(evidence), agreeing, precise, rival
 
 
-def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+def _around(inverse: Array, plane: Array, tolerance: Array | float) -> tuple[Array, Array]:
     """Return the planes, with fractions, that bound the distances within the tolerance of a plane, or the ends."""
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)
@@ -242,13 +242,13 @@ def _around(inverse: np.ndarray, plane: np.ndarray, tolerance: np.ndarray | floa
     return np.minimum(*ends), np.maximum(*ends)
 
 
-def _normalised(logarithm: np.ndarray) -> np.ndarray:
+def _normalised(logarithm: Array) -> Array:
     """Return normalised probabilities over the planes, from logarithms of relative ones."""
     values = np.exp(logarithm - logarithm.max(axis=0))
     return values / values.sum(axis=0)
 
 
-def _with_neighbours(probability: np.ndarray) -> np.ndarray:
+def _with_neighbours(probability: Array) -> Array:
     """Return probabilities of planes multiplied by the messages from the bins on the four sides.
 
     Belief propagation (Pearl 1988) along rows and columns, each line a chain.
@@ -270,12 +270,12 @@ def _with_neighbours(probability: np.ndarray) -> np.ndarray:
     return _normalised(total)
 
 
-def _mass(probability: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _mass(probability: Array, low: Array, high: Array) -> Array:
     """Return the probability between two planes; each plane's probability is spread over its neighbourhood."""
     below = np.concatenate([np.zeros((1, *low.shape)), np.cumsum(probability, axis=0)])
     row, column = np.indices(low.shape)
 
-    def up_to(plane: np.ndarray) -> np.ndarray:
+    def up_to(plane: Array) -> Array:
         plane = (plane + 0.5).clip(0, len(probability))
         index = np.minimum(plane.astype(np.int64), len(probability) - 1)
         left = below[index, row, column]

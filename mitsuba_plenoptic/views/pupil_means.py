@@ -6,8 +6,6 @@ a disparity :math:`\delta` in lenses per view, what these show at P a lens itsel
 mean of these points is nearer to the pupil's middle than u, by which views would show too little parallax.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -4,8 +4,6 @@ Stripes seen by neighbouring lenses agree again after a shift by a whole period.
 sampled by pixels, so that their period can be measured there even if it is finer than the pitch of the lenses.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy
 from scipy.spatial import cKDTree

@@ -65,7 +65,7 @@ class FirstHits:
     def _trace(self, ray: Any, open_: Any) -> dict[str, Array]:
         hit = self._scene.ray_intersect(ray, _flags(), True, open_)
         met = hit.is_valid() & open_
-        quantities: dict[str, Any] = {}
+        quantities = {}
         if "depth" in self._names:
             depth = dr.dot(ray.o - self._origin, self._axis) + hit.t * dr.dot(ray.d, self._axis)
             quantities["depth"] = dr.select(met, depth, dr.select(open_, dr.inf, dr.nan))

@@ -5,8 +5,6 @@
 `mitsuba_plenoptic.design.white_mean` is a closed form for design sheets.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Sequence
@@ -276,7 +274,6 @@ def recorded_white(
     shape: tuple[int, ...],
     cameras: Sequence[PlenopticCamera],
     computed: Array | None = None,
-    lenses: tuple[Array, Array] | None = None,
 ) -> Array:
     """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 
@@ -297,9 +294,6 @@ def recorded_white(
     computed : (rows, columns) array, optional
         Computed white image of the capture's camera. Default: the image is not scaled, as without a camera, or before
         views are sampled.
-    lenses : pair of arrays, optional
-        For samples of other shapes than the detector's: the number of each sample's lens, and the distance of the
-        sample from the axis.
 
     Raises
     ------
@@ -330,11 +324,8 @@ def recorded_white(
     image = np.atleast_3d(recorded)
     if computed is None:
         return image
-    if lenses is None:
-        camera = cameras[0]
-        x, y = (camera.pixel_coordinates(axis) for axis in (0, 1))
-        lenses = (lens_numbers(camera), np.hypot(x, y[:, None]))
-    numbers, away, model = (values.ravel() for values in (*lenses, computed))
+    x, y = (cameras[0].pixel_coordinates(axis) for axis in (0, 1))
+    numbers, away, model = (values.ravel() for values in (lens_numbers(cameras[0]), np.hypot(x, y[:, None]), computed))
     radius = np.bincount(numbers, away) / np.maximum(np.bincount(numbers), 1)
     light = np.stack([np.bincount(numbers, channel.ravel()) for channel in np.moveaxis(image, -1, 0)], axis=-1)
     expected = np.bincount(numbers, model)

@@ -1,7 +1,5 @@
 """Numbers that settle how exactly waves are described: those of usual plans, and the few that finer plans change."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 DEFAULT_ACCURACY = 0.01

@@ -13,8 +13,6 @@ to :math:`p_0`, and the amplitude per direction cosine is :math:`1/c^2`: :math:`
 1/c^4`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

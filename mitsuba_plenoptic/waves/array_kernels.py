@@ -13,8 +13,6 @@ functions :math:`a_n` of m chosen for the camera (`lens_functions`), :math:`K_a(
 Fields behind the lenses are those of `array_field`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

@@ -6,8 +6,6 @@ no noise in uniform light (Owen, "Monte Carlo theory, methods and examples", sec
 the mean of those of odd indices, and vice versa.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ tiles whose convolutions are added where they overlap (overlap-add: Oppenheim an
 Processing", section 8.7), so that memory holds only part of an image and the spectra of its tiles.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

@@ -189,7 +189,7 @@ class LegendreProducts:
 
 def legendre(x: Any, degree: int) -> list[Any]:
     """Return Legendre's polynomials up to a degree, by their recurrence."""
-    series: list[Any] = [1.0, x]
+    series = [1.0, x]
     for n in range(1, degree):
         series.append(((2 * n + 1) / (n + 1)) * x * series[n] - (n / (n + 1)) * series[n - 1])
     return series

@@ -10,8 +10,6 @@ light, which is exact; light of a response that the other patterns lack is added
 kept.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 
@@ -73,7 +71,7 @@ class PixelKernels:
         in_all = np.square(root.T @ factors[:functions].reshape(len(root), -1)).sum()
         missing = np.cumsum(square.flat[least]) <= (USUAL.missing_products * tolerance) ** 2 * in_all
         self._term, component = np.divmod(np.sort(least[~missing]), square.shape[1])
-        of_sums = np.array([decompositions[k][0][:, number] for k, number in zip(self._term, component, strict=True)])
+        of_sums = np.array([decompositions[k][0][:, column] for k, column in zip(self._term, component, strict=True)])
         of_sums = of_sums.reshape(-1, len(self.kernels))
         sums = np.einsum("rk,rkx->rx", of_sums, products[1 + self._term])
         # Factors (images and sums, places * functions), and factors (images, sums) of the products.
@@ -166,7 +164,7 @@ def _sharpened(kernels: Doubles, order: int) -> Doubles:
         for n, frequency in zip(size, (scipy.fft.fftfreq, scipy.fft.rfftfreq), strict=True)
     ]
     spectra = scipy.fft.rfft2(wide, size) * (sharp[0][:, None] * sharp[1])
-    sharpened: Doubles = scipy.fft.irfft2(spectra, size)[:, :rows, :columns]
+    sharpened = scipy.fft.irfft2(spectra, size)[:, :rows, :columns]
     return sharpened
 
 

@@ -23,8 +23,6 @@ of them to the rays, without third differences.
 P is the middle of two points of the pupil, so that kernels are products of transforms: `lens_functions.of_middles`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from functools import cached_property
@@ -171,10 +169,7 @@ class PupilDiffraction:
             return np.ones((1, 1, 1))
         if not self.is_coarse:
             return self._sampled(step / self.unit, math.ceil(reach / step))
-        return self._of_displaced(step)
-
-    def _of_displaced(self, step: float) -> Doubles:
-        """Return kernels between coarse pixels for rays that are displaced by the spread of the shortest wavelength."""
+        # Between coarse pixels rays are displaced by the spread of the shortest wavelength.
         parts = 2 * math.ceil(step / (2 * USUAL.airy_cell * self.unit)) + 1
         count = 2 * math.ceil(USUAL.coarse_reach * self.unit / step) + 1
         fine = step / parts

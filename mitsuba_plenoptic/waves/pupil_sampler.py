@@ -5,8 +5,6 @@ in a pixel light arrives, rays start where the light comes from before the pupil
 pixel, less a random displacement with the density of the point spread function.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -62,8 +60,7 @@ class PupilSampler(DetectorGrid):
         """
         ray = samples.ray
         share = self._camera.aperture.share * (self.walk.lens.reach / self._camera.pupil_radius) ** 2
-        aside = dr.hypot(*(P - p for P, p in zip(ray.P, ray.p, strict=True)))
-        return self._response(aside, mi.Float(self._camera.pupil_distance)) * dr.opaque(mi.Float, share)
+        return self._response(ray.aside(ray.P), mi.Float(self._camera.pupil_distance)) * dr.opaque(mi.Float, share)
 
     def draw(self, pixels: Pixels, pixel: Any, ray_index: Any, cell: Any, seed: Any) -> RaySamples:
         """Return rays drawn for pixels; rays of even and of odd numbers are independent. See `LensSampler.draw`."""

@@ -1,12 +1,9 @@
 """Samples of a pupil's transmission on the square around it."""
 
-from __future__ import annotations
-
 import functools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
@@ -31,7 +28,7 @@ class PupilSamples:
         x = along(USUAL.pupil_samples)
         path = Wavefront(waves, 1.0).path(x + 0 * x[:, None], x[:, None] + 0 * x) if any(waves) else 0.0
         phasors = np.exp(2j * np.pi / in_millimetres(WAVEFRONT_UNIT) * path)
-        self.transmission: NDArray[np.complex128] = means(np.sqrt(fine), USUAL.pupil_samples) * phasors
+        self.transmission = means(np.sqrt(fine), USUAL.pupil_samples) * phasors
 
 
 samples_of = functools.lru_cache(maxsize=4)(PupilSamples)

@@ -1,7 +1,5 @@
 """The plan of diffraction of cameras with and without a microlens array."""
 
-from __future__ import annotations
-
 import functools
 from typing import cast
 

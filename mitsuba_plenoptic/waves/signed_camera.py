@@ -15,8 +15,6 @@ constant integral over m: only the landing positions and the density of its rays
 change with the functions' images, and with the direction in which light meets the microlenses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple

@@ -10,8 +10,6 @@ each other have the same wavelengths, so that light which is uniform over a lens
 From cell to cell the wavelengths follow a sequence that fills the band evenly in any neighbourhood.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence
@@ -56,7 +54,7 @@ class WavelengthSampler:
         density = np.abs(responses(steps))
         density = (density / density.sum(1, keepdims=True)).sum(0)
         upto = np.concatenate([[0], np.cumsum(density[1:] + density[:-1])])
-        self.edges: Doubles = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
+        self.edges = np.interp(np.linspace(0, 1, _STRATA + 1), upto / upto[-1], steps)
         self.responses = responses(self.edges)
         self._edges = drjit_array(mi.Float, self.edges)
 

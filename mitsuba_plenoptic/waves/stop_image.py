@@ -231,8 +231,7 @@ class StopSampler(DetectorGrid):
     def power(self, samples: RaySamples) -> Any:
         """Return factors on the radiance of rays: étendue, transmission of lenses, and response of pixels."""
         ray = samples.ray
-        aside = dr.hypot(*(m - p for m, p in zip(ray.m, ray.p, strict=True)))
-        power = self._response(aside, self.walk.detector_distance) * samples.lens.gain
+        power = self._response(ray.aside(ray.m), self.walk.detector_distance) * samples.lens.gain
         if self._camera.mla_medium == 1 and not deflects_cosines(self._camera):
             return power
         return power * self.walk.out_of_array(ray.p, Passage(ray.m, self._lens(samples.lens)))[1]

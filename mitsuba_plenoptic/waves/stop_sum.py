@@ -1,7 +1,5 @@
 """Wave captures of an array in the image of the stop: a sum over the kinds of lenses."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -4,8 +4,6 @@ Such light is alike where the pupil's diffraction displaces a ray to, so that :m
 a sum over cells of the lens, of the mean light of rays that pass them from around a cell of the detector's grid.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any
 

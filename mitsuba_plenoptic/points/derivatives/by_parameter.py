@@ -118,25 +118,17 @@ def check_changes(camera: PlenopticCamera, changes: Any) -> dict[str, Doubles]:
     return checked
 
 
-def brightness_slopes(camera: PlenopticCamera, names: Iterable[str]) -> dict[str, Doubles]:
-    """Return the derivatives of the logarithm of `units.brightness` with respect to each parameter's components.
-
-    The pupil is assumed to scale with the aperture; see `light_slopes` for real main lenses.
-    """
-    parameters = VaryingParameters(camera, 1.0, names)
-    value = dr.log(parameters.brightness(camera))
-    if dr.grad_enabled(value):
-        dr.backward(value)
-    return parameters.gradients()
-
-
 def light_slopes(system: OpticalSystem, names: Iterable[str], points: Doubles) -> dict[str, Doubles]:
     """Return the derivatives of the logarithm of `units.brightness_at` with respect to each parameter.
 
     The arrays are (components, points).
     """
-    slopes = brightness_slopes(system.camera, names)
-    by_name = {name: np.tile(slope[:, None], len(points)) for name, slope in slopes.items()}
+    parameters = VaryingParameters(system.camera, 1.0, names)
+    # As if the pupil scaled with the aperture, which it does not in a real main lens.
+    value = dr.log(parameters.brightness(system.camera))
+    if dr.grad_enabled(value):
+        dr.backward(value)
+    by_name = {name: np.tile(slope[:, None], len(points)) for name, slope in parameters.gradients().items()}
     lens = system.waves_of(points)
     if lens.is_uniform:
         return by_name
@@ -149,7 +141,7 @@ class VaryingParameters:
 
     def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
         self.types = array_module().ad
-        self._parameters: dict[str, list[Any]] = {}
+        self._parameters = {}
         self._varies = set(names)
         for name in DIFFERENTIABLE:
             fixed = name not in self._varies and name != WAVELENGTH
@@ -172,7 +164,7 @@ class VaryingParameters:
             for name, parts in self._parameters.items()
         }
         (wavelength,), distance = get["wavelength"], *(get["detector_distance"] or [0.0])
-        angle: Any = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
+        angle = get["mla_rotation"][0] if "mla_rotation" in self._varies else grid.rotation
         # The array stays where it is in the frame of the grid, and the scene turns.
         turned = angle - dr.opaque(self.types.Float64, grid.rotation) if "mla_rotation" in self._varies else 0.0
 
@@ -192,7 +184,7 @@ class VaryingParameters:
             lengths = [length / grid.camera.mla_medium for length in get["mla_focal_length"]]
             return [VaryingArrayFactor(factor, lattice, lengths, wavelength) for factor in factors]
 
-        growth: Any = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
+        growth = wavelength / grid.wavelength if "wavelength" in self._varies else 1.0
         aberration = None
         if "wavefront" in self._varies:
             aberration = partial(varying_path, dr.concat(self._parameters["wavefront"]), grid.camera.pupil_radius)

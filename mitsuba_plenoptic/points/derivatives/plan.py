@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -106,7 +105,7 @@ class DerivativePlan(PatchPlan):
         moving = self.moving(weights)
         offset = self.offset_for(names)
         varies = varying_factors(self._fields(chunks[0][:1]), parameters) if chunks else ()
-        waiting: list[VjpBatch] = []
+        waiting = []
 
         def batches() -> Iterator[VjpBatch]:
             for chunk in chunks:
@@ -119,7 +118,7 @@ class DerivativePlan(PatchPlan):
 
         products = np.zeros((2, 2, 2))
         box = self._recorder.box
-        sums: Any = active_backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
+        sums = active_backend().arrays.zeros((summed * image.shape[2], box.rows, box.columns), np.float32)
         for result in job.each(batches(), items.tolist(), done + self._count - int(items.sum()), total):
             waiting.pop(0).gather(result, parameters)
             products[0] += result.products
@@ -199,7 +198,7 @@ class JvpSum:
         self._weights = weights
         self._directions = directions
         self._chunks, self.items = plan.lit_chunks(weights)
-        self.arrays: Any = active_backend().arrays
+        self.arrays = active_backend().arrays
         self._placed = plan._shifted(name for changes in directions for name in changes)
         self.box = plan._recorder.box
         self.channels = (len(directions) + (3 if self._placed else 1)) * weights.shape[1]
@@ -269,7 +268,7 @@ class Differentials:
         _require_threads(job)
 
         # Process as many directions together as fit into memory.
-        parts: list[tuple[float, list[int], list[int]]] = []
+        parts = []
         for wavelength, some in groups(wavelengths):
             step = self._plans.at(wavelength).together(job.workers, len(some), len(directions))
             all_directions = list(range(len(directions)))
