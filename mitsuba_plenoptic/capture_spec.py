@@ -17,7 +17,7 @@ from .camera import PlenopticCamera
 from .errors import naming
 from .io import Capture, hash_of
 from .plugins.other_camera import with_camera
-from .runtime import DEFAULT_VARIANT, require_size, set_variant
+from .runtime import DEFAULT_VARIANT, Named, require_size, set_variant
 from .scene import LARGEST_SCENE, load_scene, plenoptic_sensor, quiet, render_capture
 from .scene_files import scene_path
 
@@ -75,7 +75,7 @@ class CaptureSpec:
         settings = {item.name: getattr(self, item.name) for item in fields(CaptureSpec)}
         return CaptureSpec(**{**settings, "model": model, "wavelength": None if model == "ray" else self.wavelength})
 
-    def fingerprint(self) -> dict[str, Any]:
+    def fingerprint(self) -> Named:
         """Return plain values that identify the capture: its settings, and a hash of the scene's files."""
         return {**asdict(self), "scene": scene_fingerprint(self.scene, self.parameters)}
 
@@ -89,7 +89,7 @@ class CaptureSpec:
         **options
             Further arguments of `render_capture`.
         """
-        settings: dict[str, Any] = {"model": self.model, "spp": self.spp, "seed": self.seed}
+        settings: Named = {"model": self.model, "spp": self.spp, "seed": self.seed}
         if self.wavelength is not None:
             settings["wavelength"] = self.wavelength
         if self.model == "wave":

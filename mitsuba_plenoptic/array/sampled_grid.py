@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, Doubles, Pair, as_array, module_of, require_all, require_file, take, unit_of
+from ..runtime import IMAGE, Doubles, Pair, Shape, as_array, module_of, require_all, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -163,7 +163,7 @@ class SampledGrid:
             places.append((below, scaled - below))
         return places
 
-    def _sum(self, x: Any, y: Any, derivative: tuple[int, int]) -> Any:
+    def _sum(self, x: Any, y: Any, derivative: Shape) -> Any:
         (column, u), (row, v) = self._places(x, y)
         across = _weights(u, derivative[0])
         up = _weights(v, derivative[1])
@@ -176,7 +176,7 @@ class SampledGrid:
         return total
 
 
-def _weights(t: Any, derivative: int) -> dict[tuple[int, int], Any]:
+def _weights(t: Any, derivative: int) -> dict[Shape, Any]:
     """Return the weights of Hermite's cubic, or their derivatives, for value and slope at each end."""
     if derivative:
         step = 6 * t * (1 - t)

@@ -9,7 +9,7 @@ from typing import Any
 from ..errors import NO_RECORD, InputError, content_of, naming, refuse_if, refusing, short_repr
 from ..extension import hook
 from ..presets import PRESETS
-from ..runtime import parse_yaml, read_text, read_yaml, require_size
+from ..runtime import Named, parse_yaml, read_text, read_yaml, require_size
 from .entry import Form
 from .parameters import FILE_READERS, PARAMETERS
 from .plenoptic_camera import PlenopticCamera
@@ -24,7 +24,7 @@ def camera_and_record(source: str | Path) -> tuple[PlenopticCamera, Any]:
         return PlenopticCamera._from_names(stated), record
 
 
-def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
+def stated_and_record(source: str | Path) -> tuple[Named, Any]:
     """Return what a source states of a camera, by name, and its file's object ``calibration`` (None without one)."""
     if str(source) in PRESETS and not Path(source).is_file():
         return dict(PRESETS[str(source)]), None
@@ -55,7 +55,7 @@ def stated_and_record(source: str | Path) -> tuple[dict[str, Any], Any]:
         return _with_files(values, path.parent), record
 
 
-def _with_files(values: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _with_files(values: Named, folder: Path) -> Named:
     """Return the parameters of a camera's file, with files that they name read from its folder if they lie there."""
 
     def resolve(name: str) -> str:
@@ -80,7 +80,7 @@ def states_camera(source: str | Path) -> bool:
     return re.match(r"\w+=", str(source)) is not None and not Path(source).is_file()
 
 
-def _stated(text: str) -> dict[str, Any]:
+def _stated(text: str) -> Named:
     """Return the parameters of a text ``NAME=VALUE,NAME=VALUE``.
 
     Values may be lists in brackets or parentheses, or several with commas between.

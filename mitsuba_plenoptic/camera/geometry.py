@@ -20,7 +20,7 @@ from ..array import (
 )
 from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
-from ..runtime import Array, Pair, minimum, select, take
+from ..runtime import Array, Pair, Shape, minimum, select, take
 from .aperture import Apodised, Opening, Round
 from .entry import one_if_equal, one_if_single, record
 from .parameters import CameraParameters
@@ -330,7 +330,7 @@ class CameraGeometry(CameraParameters):
         return self.pixel_size * self.resolution[1]
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """Rows and columns of the recorded image."""
         return self.crop_size[1], self.crop_size[0]
 
@@ -367,7 +367,7 @@ class CameraGeometry(CameraParameters):
         )
 
     @property
-    def bin_count(self) -> tuple[int, int]:
+    def bin_count(self) -> Shape:
         """Columns and rows of bins of a reconstruction: squares of one lens pitch that fit the detector.
 
         The counts are rounded to even integers, so that the corner of four bins lies on the axis, as does that of four
@@ -377,7 +377,7 @@ class CameraGeometry(CameraParameters):
         return self.lens_data.bin_count(self)
 
     @property
-    def lens_count(self) -> tuple[int, int]:
+    def lens_count(self) -> Shape:
         """Count of lenses in a row of the lattice across the full detector, and of rows down the detector.
 
         A rotated lattice has as many lenses on the same area.

@@ -21,7 +21,7 @@ from ..errors import (
     require_pair,
     short_repr,
 )
-from ..runtime import Pair
+from ..runtime import Named, Pair
 from .geometry import CameraGeometry
 
 MATCHED = ("f_number", "lenses", "pixels_per_lens", "pixel_size", "sensor_size")
@@ -54,7 +54,7 @@ def micrometres(camera: CameraGeometry) -> list[str]:
     return [f"{words}: {advice}" for words, is_large in signs.items() if is_large][:1]
 
 
-def missing_from(sheet: dict[str, Any]) -> list[str]:
+def missing_from(sheet: Named) -> list[str]:
     """Return what an incomplete data sheet lacks."""
     has = {name for name, value in sheet.items() if value is not None}
     missing = [] if "f_number" in has else ["f_number"]
@@ -65,7 +65,7 @@ def missing_from(sheet: dict[str, Any]) -> list[str]:
     return missing + ([] if has & {"focus_distance", "mla_distance"} else ["focus_distance or mla_distance"])
 
 
-def require_enough(sheet: dict[str, Any]) -> None:
+def require_enough(sheet: Named) -> None:
     """Refuse missing arguments of a matched camera, and an argument that follows from the others."""
     has = {name for name, value in sheet.items() if value is not None}
     missing = missing_from(sheet)
@@ -94,7 +94,7 @@ def behind_pupil(
     pixels_per_lens: float | None = None,
     mla_pitch: float | None = None,
     pixel_size: float | None = None,
-) -> dict[str, Any]:
+) -> Named:
     """Return the microlens and detector parameters behind a pupil of given radius and distance from the array."""
     sides = None
     if sensor_size is not None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..optics import parabola, phasor, rays
-from ..runtime import Array, Field, Pair, active_backend, drjit_array, fft
+from ..runtime import Array, Field, Pair, Shape, active_backend, drjit_array, fft
 from .microlens_orders import MicrolensArray
 from .steps import Step
 from .transmittance import is_separable, transmission
@@ -102,7 +102,7 @@ def _evaluate(x: Array, y: Array, function: Callable[[Any, Any], Any]) -> Field:
 
 
 def microlenses(
-    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] = (0, 0)
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: Shape = (0, 0)
 ) -> Element:
     """Return the microlenses of a subset, in the source plane of a step; other lenses are opaque.
 
@@ -119,7 +119,7 @@ def microlenses(
 
 
 def converging(
-    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: tuple[int, int] | None = None
+    step: Step, camera: PlenopticCamera, wavelength: float, interleave: int = 1, subset: Shape | None = None
 ) -> Element:
     """Return the element that makes detector light converge to the centres of all lenses, or of a subset."""
     b = camera.mla_distance
@@ -139,13 +139,13 @@ def converging(
     return Element.separated(step, phase, (x * (b + z) / b, y * (b + z) / b))
 
 
-def _centre(camera: PlenopticCamera, index: tuple[int, int]) -> tuple[float, float]:
+def _centre(camera: PlenopticCamera, index: Shape) -> tuple[float, float]:
     """Return the centre of a lens."""
     x, y = camera.lattice.centre(*map(float, index))
     return float(x), float(y)
 
 
-def _of_subset(light: Any, index: Pair, interleave: int, subset: tuple[int, int]) -> Any:
+def _of_subset(light: Any, index: Pair, interleave: int, subset: Shape) -> Any:
     """Return light with the contributions of lenses outside the subset set to 0."""
     period = dr.opaque(type(index[0]), interleave)
     mine = [

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..runtime import Array
+from ..runtime import Array, Shape
 
 
 @dataclass(frozen=True)
@@ -68,12 +68,12 @@ class Step:
     y: AxisStep
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """Numbers of rows and columns at the destination."""
         return self.y.wanted, self.x.wanted
 
     @property
-    def columns(self) -> tuple[int, int]:
+    def columns(self) -> Shape:
         """Number and largest length of the transposed columns, whose memory source and destination share."""
         return self.x.held, max(self.y.count, self.y.wanted)
 

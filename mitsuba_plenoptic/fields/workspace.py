@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..runtime import Field, Floats, active_backend, fft
+from ..runtime import Field, Floats, Shape, active_backend, fft
 from .steps import Step
 
 Rows = Iterable[tuple[slice, Field]]
@@ -54,7 +54,7 @@ class FieldWorkspace:
         """Return the memory of a step's columns, shared with the last step's columns."""
         return self._columns[: step.x.held]
 
-    def array(self, name: str, shape: tuple[int, int]) -> Field:
+    def array(self, name: str, shape: Shape) -> Field:
         """Return an uninitialised array, valid until the same name is requested again."""
         size = shape[0] * shape[1]
         if name not in self._buffers or self._buffers[name].size < size:
@@ -80,7 +80,7 @@ class FieldWorkspace:
                 part = self.libraries.arrays.repeat(part, count, axis)
             yield slice(rows.start * count, rows.stop * count), part
 
-    def whole(self, blocks: Rows, shape: tuple[int, int]) -> Field:
+    def whole(self, blocks: Rows, shape: Shape) -> Field:
         """Return a field gathered from all its rows."""
         field = self.libraries.arrays.empty(shape, np.complex64)
         for rows, samples in blocks:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Array, Forecast, Progress, in_words, lock_of, locked, read_text, software, write_text
+from ..runtime import Array, Forecast, Named, Progress, in_words, lock_of, locked, read_text, software, write_text
 from .captures import Capture, read_capture, write_capture
 from .checkpoints import CHECKPOINT_SUFFIX, Checkpoint, hash_of, write_json
 from .exr import read_exr, write_exr
@@ -85,17 +85,15 @@ class Cache:
                 f"{name}.exr", inputs, lambda progress: make(progress, checkpoint), write_capture, read_capture
             )
 
-    def image(
-        self, name: str, inputs: Any, make: Callable[[Progress], tuple[Array, dict[str, Any]]]
-    ) -> tuple[Array, str]:
+    def image(self, name: str, inputs: Any, make: Callable[[Progress], tuple[Array, Named]]) -> tuple[Array, str]:
         """Return an image and its key; facts about it go into the file's header."""
         (image, *_), key = self._get(f"{name}.exr", inputs, make, lambda path, made: write_exr(path, *made), read_exr)
         return np.asarray(image, dtype=np.float32), key
 
-    def facts(self, name: str, inputs: Any, make: Callable[[Progress], dict[str, Any]]) -> dict[str, Any]:
+    def facts(self, name: str, inputs: Any, make: Callable[[Progress], Named]) -> Named:
         """Return a dictionary of plain JSON values."""
 
-        def read(path: Path) -> dict[str, Any]:
+        def read(path: Path) -> Named:
             return dict(json.loads(read_text(path, 2**26)))
 
         return self._get(f"{name}.json", inputs, make, write_json, read)[0]

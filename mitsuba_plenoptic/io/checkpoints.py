@@ -24,6 +24,7 @@ import numpy as np
 from ..errors import InputError, refuse_if, require_choice, warn
 from ..runtime import (
     Array,
+    Named,
     PartialSum,
     Snapshot,
     atomic_output,
@@ -76,9 +77,9 @@ class Checkpoint:
     def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
         require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
-        self.run: dict[str, Any] = {}
+        self.run: Named = {}
         self.existing = existing
-        self._facts: dict[str, Any] = {}
+        self._facts: Named = {}
         self._due = math.inf
         self._complained = False
         self._stopping = False
@@ -134,7 +135,7 @@ class Checkpoint:
         """Register a run whose state is arrays instead of a sum; return the saved arrays, None if there are none."""
         return self._begin(facts, lambda arrays, _: arrays)
 
-    def _begin(self, facts: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
+    def _begin(self, facts: Named, take: Callable[[Any, Named], _State]) -> _State | None:
         if self._due == math.inf:
             self._lock = hold(self.path)
         self._due = min(self._due, time.monotonic() + INTERVAL / 4)
@@ -201,7 +202,7 @@ class Checkpoint:
         """Write the float32 and float64 arrays for `begin_arrays` if the time since the last save is long enough."""
         self._save(lambda path: _write_archive(path, self._known_facts(), {}, {**arrays(), **self._prepared}))
 
-    def _known_facts(self) -> dict[str, Any]:
+    def _known_facts(self) -> Named:
         """Return the facts of the run as plain JSON values; functions are called once."""
         facts = {name: value() if callable(value) else value for name, value in self._facts.items()}
         self._facts = json.loads(json.dumps(facts))
@@ -248,8 +249,8 @@ def write_json(path: Path, content: Any) -> None:
     write_text(path, json.dumps(content, indent=1, sort_keys=True) + "\n")
 
 
-def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[str, Array]) -> None:
-    header: dict[str, Any] = {"sums": snapshot.sums}
+def _write(path: Path, run: Named, snapshot: Snapshot, prepared: dict[str, Array]) -> None:
+    header: Named = {"sums": snapshot.sums}
     arrays = {"image": snapshot.image, **prepared}
     if snapshot.partial:
         unfinished = snapshot.partial
@@ -258,7 +259,7 @@ def _write(path: Path, run: dict[str, Any], snapshot: Snapshot, prepared: dict[s
     _write_archive(path, run, header, arrays)
 
 
-def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any], arrays: dict[str, Any]) -> None:
+def _write_archive(path: Path, run: Named | None, header: Named, arrays: Named) -> None:
     with path.open("wb") as file:
         np.savez(file, header=json.dumps(stamped({"run": run, **header})), **arrays)
         file.flush()
@@ -266,7 +267,7 @@ def _write_archive(path: Path, run: dict[str, Any] | None, header: dict[str, Any
         os.fsync(file.fileno())
 
 
-def _archive(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+def _archive(path: Path) -> tuple[Named, dict[str, Array]]:
     """Return the header and the arrays of a checkpoint."""
     require_memory(path.stat().st_size, f"{path.stat().st_size} bytes")
     with np.load(path, allow_pickle=False) as archive:
@@ -274,7 +275,7 @@ def _archive(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     return json.loads(str(arrays.pop("header"))), arrays
 
 
-def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]], _State]) -> _State | None:
+def _read(path: Path, run: Named, take: Callable[[Any, Named], _State]) -> _State | None:
     """Return the state in a run's checkpoint, None if only preparation is there; refuse damage and other runs."""
     try:
         header, arrays = _archive(path)
@@ -294,7 +295,7 @@ def _read(path: Path, run: dict[str, Any], take: Callable[[Any, dict[str, Any]],
     )
 
 
-def _snapshot(shape: tuple[int, ...], archive: Mapping[str, Array], header: dict[str, Any]) -> Snapshot:
+def _snapshot(shape: tuple[int, ...], archive: Mapping[str, Array], header: Named) -> Snapshot:
     image = archive["image"]
     if image.shape != shape:
         raise ValueError(f"image has the shape {image.shape} instead of {shape}")
@@ -315,7 +316,7 @@ def differences(there: Any, here: Any) -> list[str]:
     ]
 
 
-def _flattened(values: Any, name: str = "") -> dict[str, Any]:
+def _flattened(values: Any, name: str = "") -> Named:
     """Return nested values by dotted names."""
     if not isinstance(values, (Mapping, list)) or not values:
         return {name: values}

@@ -11,7 +11,16 @@ import OpenEXR
 
 from ..camera import PlenopticCamera
 from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
-from ..runtime import Array, atomic_output, native_output_dropped, of_one_file, require_file, require_memory
+from ..runtime import (
+    Array,
+    Named,
+    Shape,
+    atomic_output,
+    native_output_dropped,
+    of_one_file,
+    require_file,
+    require_memory,
+)
 from .versions import require_seal, sealed
 
 ATTRIBUTE = "mitsuba_plenoptic"
@@ -28,21 +37,21 @@ _SRGB = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 class ExrPart(NamedTuple):
     """The header of one part of an OpenEXR file: its data window, its channels, and all attributes."""
 
-    origin: tuple[int, int]  # column and row
+    origin: Shape  # column and row
     columns: int
     rows: int
     channels: tuple[str, ...]
-    header: dict[str, Any]
+    header: Named
 
 
 def write_exr(
     path: str | Path,
     image: Array,
-    attributes: dict[str, Any],
+    attributes: Named,
     *,
     noise: Array | None = None,
-    offset: tuple[int, int] = (0, 0),
-    full_size: tuple[int, int] | None = None,
+    offset: Shape = (0, 0),
+    full_size: Shape | None = None,
 ) -> None:
     """Write an image (rows, columns) as channel Y, or (rows, columns, 3) as channels R, G and B, of an OpenEXR file.
 
@@ -57,10 +66,10 @@ def write_exr(
 def write_exr_parts(
     path: str | Path,
     parts: Mapping[str, Mapping[str, Array]],
-    attributes: dict[str, Any],
+    attributes: Named,
     *,
-    offset: tuple[int, int] = (0, 0),
-    full_size: tuple[int, int] | None = None,
+    offset: Shape = (0, 0),
+    full_size: Shape | None = None,
 ) -> None:
     """Write the parts of an OpenEXR file, each of channels (rows, columns) by name; the first has attributes."""
     floats = [
@@ -95,7 +104,7 @@ def image_channels(image: Array) -> dict[str, Array]:
     return {name: image[..., i] for i, name in enumerate("RGB")}
 
 
-def read_exr(path: str | Path) -> tuple[Array, Array | None, dict[str, Any]]:
+def read_exr(path: str | Path) -> tuple[Array, Array | None, Named]:
     """Return the image, the noise if any, and the attributes of a file of `write_exr`."""
     parts, attributes = read_exr_parts(path)
     planes = next(iter(parts.values()))
@@ -114,7 +123,7 @@ def read_exr(path: str | Path) -> tuple[Array, Array | None, dict[str, Any]]:
 
 
 @of_one_file
-def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, Array]], dict[str, Any]]:
+def read_exr_parts(path: str | Path) -> tuple[dict[str, dict[str, Array]], Named]:
     """Return the float32 channels of each part, and the attributes, of a file of `write_exr_parts`."""
     path = require_file(path)
     parts = read_parts(path)
@@ -201,7 +210,7 @@ def _only_layer(parts: list[ExrPart]) -> tuple[ExrPart, tuple[str, ...]]:
 
 
 @of_one_file
-def read_attributes(path: str | Path) -> dict[str, Any]:
+def read_attributes(path: str | Path) -> Named:
     """Return the attributes of an OpenEXR file without its pixels; files of other programs have none."""
     path = require_file(path)
     parts = read_parts(path)
@@ -209,7 +218,7 @@ def read_attributes(path: str | Path) -> dict[str, Any]:
         return _attributes(path, parts[0]) if ATTRIBUTE in parts[0].header else {}
 
 
-def _attributes(path: Path, layer: ExrPart) -> dict[str, Any]:
+def _attributes(path: Path, layer: ExrPart) -> Named:
     """Return the content of this package's attribute in an OpenEXR header."""
     refuse_if(
         ATTRIBUTE not in layer.header,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import naming, refuse_if, refusing
-from ..runtime import Array, atomic_output, of_one_file, require_file, require_memory, require_zarr
+from ..runtime import Array, Named, atomic_output, of_one_file, require_file, require_memory, require_zarr
 from .versions import DIGEST, digest_of, require_seal
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ def read_labelled_data(path: str | Path, what: str = "data set") -> xr.Dataset:
     return data
 
 
-def _content(data: xr.Dataset) -> tuple[dict[str, Any], list[dict[str, Array]]]:
+def _content(data: xr.Dataset) -> tuple[Named, list[dict[str, Array]]]:
     """Return the names and attributes of a data set, and its values, which do not depend on the format of a file."""
-    record: dict[str, Any] = {"": _texts(data.attrs)}
+    record: Named = {"": _texts(data.attrs)}
     values = {}
     for name, variable in data.variables.items():
         record[str(name)] = [list(map(str, variable.dims)), name in data.coords, _texts(variable.attrs)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import refuse_if
-from ..runtime import Array
+from ..runtime import Array, Named
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
@@ -22,18 +22,18 @@ DIGEST = "digest"
 """Names of the entries that state the version, and the digest of pixels and other entries."""
 
 
-def stamped(record: Mapping[str, Any]) -> dict[str, Any]:
+def stamped(record: Mapping[str, Any]) -> Named:
     """Return a file's record with the version of this package and the number of the format added."""
     return {**record, "format": FORMAT, KEY: VERSION}
 
 
-def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> dict[str, Any]:
+def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> Named:
     """Return a file's record, as JSON keeps it, with the version, and the digest of it and the planes of its pixels."""
     plain = json.loads(json.dumps(stamped(record), sort_keys=True))
     return {**plain, DIGEST: digest_of(plain, parts)}
 
 
-def require_seal(record: dict[str, Any], parts: Sequence[Mapping[str, Array]]) -> None:
+def require_seal(record: Named, parts: Sequence[Mapping[str, Array]]) -> None:
     """Refuse a file of a newer format, or whose pixels or record are not those of its digest; it may have none."""
     number = record.get("format")
     newer = isinstance(number, int) and number > FORMAT

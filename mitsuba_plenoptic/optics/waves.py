@@ -17,7 +17,18 @@ import drjit as dr
 import numpy as np
 
 from ..errors import refuse_if, require_number, require_wavelength
-from ..runtime import Array, Doubles, Field, active_backend, array_module, backend_of, drjit_array, fft, one_at_a_time
+from ..runtime import (
+    Array,
+    Doubles,
+    Field,
+    Shape,
+    active_backend,
+    array_module,
+    backend_of,
+    drjit_array,
+    fft,
+    one_at_a_time,
+)
 from . import guards
 
 _MM_PER_NM = 1e-6
@@ -251,7 +262,7 @@ def advance(
     wavelength: float,
     *,
     shift: tuple[float, float],
-    part: tuple[int, int] | None,
+    part: Shape | None,
     paraxial: bool,
     beyond_paraxial: bool,
     response: Callable[[Any, Any], Any] | None,
@@ -275,7 +286,7 @@ def _advance(
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,
-    part: tuple[int, int] | None = None,
+    part: Shape | None = None,
     response: Callable[[Any, Any], Any] | None = None,
     **how: Any,
 ) -> Any:

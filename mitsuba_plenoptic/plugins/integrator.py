@@ -15,7 +15,7 @@ from ..detector import SHARP
 from ..errors import InputError, naming, refuse_if, require_accuracy, require_choice, require_number, short_repr
 from ..extension import hook
 from ..optics import MOST_WAVELENGTHS, WAVELENGTHS, Spectrum, Table, colour, guards, interpolated, read_responses
-from ..runtime import Doubles, Job
+from ..runtime import Doubles, Job, Named
 from ..scene import LightDerivatives, SceneLight, require_wave_film
 from ..waves import (
     DEFAULT_ACCURACY,
@@ -408,9 +408,9 @@ def make_class() -> type:
             # Sums over wavelengths approximate integrals; the matrix is corrected so that grey remains exactly grey.
             return np.asarray(np.linalg.solve(basis @ spectrum.matrix().astype(np.float64).T, basis))
 
-        def parameters(self) -> dict[str, Any]:
+        def parameters(self) -> Named:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
-            parameters: dict[str, Any] = {}
+            parameters: Named = {}
             if self.responses is not None:
                 parameters |= {"responses": self.responses, "wavelength_count": self.wavelength_count}
             elif self.has_wavelengths or not mi.is_spectral:

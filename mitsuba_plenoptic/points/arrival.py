@@ -25,7 +25,7 @@ from ..fields import (
 )
 from ..lenses import ClosedLens, ExitPupil, FourierLens, PointLight, ThinLens, cone
 from ..optics import band_edge_fraction, guards, in_millimetres, phasor, power, power_by_row, soft_edge
-from ..runtime import Doubles, Field, Pair, Triple, active_backend, check_memory, fft
+from ..runtime import Doubles, Field, Pair, Shape, Triple, active_backend, check_memory, fft
 from .pupil_weights import PupilWeights
 from .sampling import Footprint, bundle_footprint, footprint
 from .seen_pupil import SeenPupil
@@ -55,8 +55,8 @@ class FieldGrids:
     wide_origin: tuple[float, float]  # of the window that contains pupil, image and detector
     wide_pupil: int  # samples across it, at the pupil's pitch
     wide_mla: int  # samples across it, at the MLA's pitch
-    offset: tuple[int, int]  # of the detector's window in the wide window, in MLA samples
-    count: tuple[int, int]  # samples of the detector's window
+    offset: Shape  # of the detector's window in the wide window, in MLA samples
+    count: Shape  # samples of the detector's window
     bend: float  # largest change of direction cosine by a microlens that the grid represents
     margin: int  # pixels between the window's edge and the first recorded pixel
 
@@ -72,7 +72,7 @@ class FieldGrids:
         return self.pitch * self.wide_mla / self.wide_pupil
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """Rows and columns of the detector's window."""
         return self.count[1], self.count[0]
 
@@ -201,7 +201,7 @@ class SampledField:
         return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
 
 
-def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: tuple[int, int]) -> Field:
+def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: Shape) -> Field:
     """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
     arrays = active_backend().arrays
     # Along y, then along x.

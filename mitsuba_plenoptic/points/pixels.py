@@ -18,7 +18,7 @@ import drjit as dr
 import numpy as np
 import scipy
 
-from ..runtime import Backend, Doubles, Floats, Integers, Pair, backend_of, drjit_array, fft, turn
+from ..runtime import Backend, Doubles, Floats, Integers, Pair, Shape, backend_of, drjit_array, fft, turn
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -102,7 +102,7 @@ def _interpolation(position: Doubles, factors: Doubles, samples: int) -> scipy.s
     return _matrix(values, rows, columns, (len(position), samples))
 
 
-def _matrix(values: Doubles, rows: Integers, columns: Integers, shape: tuple[int, int]) -> scipy.sparse.csr_array:
+def _matrix(values: Doubles, rows: Integers, columns: Integers, shape: Shape) -> scipy.sparse.csr_array:
     """Return a sparse matrix of values; values at the same place are added."""
     inside = (columns >= 0) & (columns < shape[1])
     matrix = scipy.sparse.coo_array((values[inside], (rows[inside], columns[inside])), shape=shape)
@@ -126,12 +126,12 @@ class PixelIntegrals:
     @classmethod
     def of(
         cls,
-        samples: tuple[int, int],
+        samples: Shape,
         pitch: tuple[float, float],
         origin: tuple[float, float],
         pixel_size: float,
         first_edge: tuple[float, float],
-        shape: tuple[int, int],
+        shape: Shape,
         means: bool = False,
     ) -> PixelIntegrals:
         """Return the integrals over square pixels; `samples` and `shape` are (rows, columns) of samples and of pixels.
@@ -221,13 +221,13 @@ class TurnedSamples:
 
     def __init__(
         self,
-        samples: tuple[int, int],
+        samples: Shape,
         pitch: tuple[float, float],
         origin: tuple[float, float],
         degrees: float,
         new_pitch: float,
         new_origin: tuple[float, float],
-        shape: tuple[int, int],
+        shape: Shape,
         regular: Callable[[Any, Any], Pair] | None,
     ) -> None:
         self._samples = samples

@@ -224,49 +224,44 @@ class ShiftedLayer:
 
     def forward(self, weights: Doubles) -> Floats:
         """Return the image (channels, rows, columns) of weights (points, channels)."""
-        columns, rows = self._grid * self._spots.parts
+        parts = self._spots.parts
+        columns, rows = self._grid * parts
         shifts = (self._points.T @ weights).T.reshape(-1, rows, columns).astype(np.float32)
-        box = recorded_pixels(self._camera)
-        image = np.zeros((len(shifts), box.rows, box.columns), np.float32)
-        for number, values in enumerate(self._spots.values):
-            window, inner = self._windows(number)
-            spot = rfft2(values, self._shape)
+        image = np.pad(np.zeros((len(shifts), *self._camera.shape), np.float32), self._margins)
+        for number, window in self._windows():
+            spot = rfft2(self._spots.values[number], self._shape)
             for passed, seen in self._passages(number):
                 light = irfft2(rfft2(shifts * passed, self._shape) * spot, self._shape)
-                image[:, *window] += (seen * self._over_pixels(light))[:, *inner]
-        return image
+                height, width = (length // parts for length in self._shape)
+                image[window] += seen * light.reshape(-1, height, parts, width, parts).sum((2, 4))
+        (_, (top, _), (left, _)), (height, width) = self._margins, self._camera.shape
+        return image[:, top : top + height, left : left + width]
 
     def adjoint(self, image: Floats) -> Doubles:
         """Return the products (points, channels) of the points' spots with an image (channels, rows, columns)."""
         parts = self._spots.parts
         columns, rows = self._grid * parts
         shifts = np.zeros((len(image), rows, columns), np.float32)
-        light = np.zeros((len(image), *(length // parts for length in self._shape)), np.float32)
-        for number, values in enumerate(self._spots.values):
-            window, inner = self._windows(number)
-            spot = rfft2(values, self._shape).conj()
+        image = np.pad(image, self._margins)
+        for number, window in self._windows():
+            spot = rfft2(self._spots.values[number], self._shape).conj()
             for passed, seen in self._passages(number):
-                light[:] = 0
-                light[:, *inner] = image[:, *window]
-                fine = (seen * light).repeat(parts, 1).repeat(parts, 2)
+                fine = (seen * image[window]).repeat(parts, 1).repeat(parts, 2)
                 shifts += passed * irfft2(rfft2(fine) * spot, self._shape)[:, :rows, :columns]
         return np.asarray(self._points @ shifts.reshape(len(image), -1).T, np.float64)
 
-    def _over_pixels(self, light: Floats) -> Floats:
-        """Return sums over the parts of pixels."""
-        parts = self._spots.parts
-        channels, rows, columns = light.shape
-        return np.asarray(light.reshape(channels, rows // parts, parts, columns // parts, parts).sum((2, 4)))
+    @property
+    def _margins(self) -> list[tuple[int, int]]:
+        """Pixels around an image, as wide as the convolution."""
+        return [(0, 0), *((length // self._spots.parts,) * 2 for length in self._shape)]
 
-    def _windows(self, number: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-        """Return the recorded pixels that a lens's convolution covers, in the image and in the convolution."""
-        box, rows, columns = recorded_pixels(self._camera), *(length // self._spots.parts for length in self._shape)
-        left, top = (self._origin + self._spots.corner[number] - (box.left, box.top)).tolist()
-        (y, Y), (x, X) = (
-            (min(max(start, 0), size), max(min(start + count, size), 0))
-            for start, count, size in ((top, rows, box.rows), (left, columns, box.columns))
-        )
-        return (slice(y, Y), slice(x, X)), (slice(y - top, Y - top), slice(x - left, X - left))
+    def _windows(self) -> Iterator[tuple[int, Any]]:
+        """Yield the lenses that light the image, and the window of the convolution in the image with its margins."""
+        box, (_, (height, _), (width, _)) = recorded_pixels(self._camera), self._margins
+        for number, corner in enumerate(self._origin + self._spots.corner):
+            left, top = (corner - (box.left, box.top) + (width, height)).tolist()
+            if 0 < left < box.columns + width and 0 < top < box.rows + height:
+                yield number, np.s_[:, top : top + height, left : left + width]
 
     def _passages(self, number: int) -> Iterator[tuple[Any, Any]]:
         """Yield factors on shifts and on pixels: of light that passes the field stop wholly, and that it cuts."""

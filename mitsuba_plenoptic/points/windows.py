@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..runtime import Array, Doubles, Field, Floats, Integers, backend_of
+from ..runtime import Array, Doubles, Field, Floats, Integers, Shape, backend_of
 
 _LANES = 2**24
 _BLOCK = 2**18
@@ -36,7 +36,7 @@ class Windows:
         """Return which windows belong to the patches from `first` up to `stop`."""
         return slice(*np.searchsorted(self.patch, (first, stop)).tolist())
 
-    def take(self, some: slice, first: int = 0, inside: tuple[int, int] = (0, 0)) -> Windows:
+    def take(self, some: slice, first: int = 0, inside: Shape = (0, 0)) -> Windows:
         """Return some windows, of parts that begin `inside` their patches, of which `first` gets the number 0."""
         return Windows(self.patch[some] - first, self.start[some] + inside)
 
@@ -64,7 +64,7 @@ def taken(planes: Array, plane: Integers, starts: Integers, size: tuple[int, ...
     return parts[0] if len(parts) == 1 else libraries.arrays.concatenate(parts)
 
 
-def part_of(table: Field, starts: Integers, size: tuple[int, int]) -> Field:
+def part_of(table: Field, starts: Integers, size: Shape) -> Field:
     """Return windows (n, rows, columns) of a table, with given first rows and columns (n, 2)."""
     return taken(table[None], np.zeros(len(starts), np.int64), starts, size)
 

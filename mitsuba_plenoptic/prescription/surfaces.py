@@ -28,7 +28,7 @@ from ..errors import (
     short_repr,
     warn,
 )
-from ..runtime import safe_sqrt
+from ..runtime import Named, safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence
@@ -93,7 +93,7 @@ class Surface:
         """Reciprocal of the radius, in 1/mm."""
         return 1 / self.radius
 
-    def to_plain(self) -> dict[str, Any]:
+    def to_plain(self) -> Named:
         """Return the surface as plain data for `from_plain`, without entries that have their default."""
         plain = {name: value for name, value in vars(self).items() if value not in _ABSENT}
         if self.glass is not None:
@@ -274,7 +274,7 @@ class Prescription(LensData):
         surfaces[index] = replace(surfaces[index], **changes)
         return replace(self, surfaces=tuple(surfaces))
 
-    def to_plain(self) -> dict[str, Any]:
+    def to_plain(self) -> Named:
         """Return the prescription as numbers, strings, lists and dictionaries, for `from_plain`."""
         surfaces = [surface.to_plain() for surface in self.surfaces]
         surfaces[self.stop]["stop"] = True

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
-from ..design import crosstalk_neighbours, crosstalk_reach, lenses_in_stop, objective_of, pupil_growth
+from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
 from ..errors import refuse_if
 from ..lenses import chief_points, main_lens
 from ..runtime import Array, Pair, drjit_array
@@ -84,6 +84,8 @@ class LensChoice:
             lenses = max(lenses, camera.lattice.neighbours(limits.max() + beyond), key=len)
         fixed = square = False
         if camera.lens_data.images_stop:
+            from ..design import lenses_in_stop, objective_of
+
             lit, _ = lenses_in_stop(camera)
             refuse_if(not len(lit), "camera: no lens lies in the image of the stop; take narrower lenses")
             if fixed := len(lit) < len(lenses):

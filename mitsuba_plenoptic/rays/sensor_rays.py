@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera
 from ..lenses import Traced, main_lens
 from ..optics import RGB_WAVELENGTHS
 from ..prescription import LINE_D, SINGLE, Glass
-from ..runtime import Pair, drjit_array
+from ..runtime import Named, Pair, drjit_array
 from .lens_choice import CHIEF, LensChoice
 from .tracer import Passage, Ray, Walk
 
@@ -215,7 +215,7 @@ class LensRays:
     choice: LensChoice
 
     @classmethod
-    def varying(cls, camera: PlenopticCamera, lens: Any, numbers: dict[str, Any]) -> LensRays:
+    def varying(cls, camera: PlenopticCamera, lens: Any, numbers: Named) -> LensRays:
         """Return the sampler of a camera whose lens and exposed parameters may have gradients."""
         # The rotation is applied only if it is not zero, or a gradient for its angle is requested.
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
@@ -327,7 +327,7 @@ RaySampler = LensRays | PupilRays
 """The sampler of a camera's rays: with a microlens array it draws a lens for each, without one a point of the pupil."""
 
 
-def sampler_of(camera: PlenopticCamera, numbers: dict[str, Any]) -> RaySampler:
+def sampler_of(camera: PlenopticCamera, numbers: Named) -> RaySampler:
     """Return the ray sampler of a camera whose exposed parameters are given as Dr.Jit arrays."""
     wavefront = numbers.get("wavefront", mi.Float())
     aberrations = tuple(dr.gather(mi.Float, wavefront, i) for i in range(dr.width(wavefront)))

@@ -27,7 +27,7 @@ from ..fields import OpticalSystem
 from ..io import Capture, Checkpoint, require_demosaiced
 from ..optics import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
-from ..runtime import Array, BatchMap, as_array, require_memory_for
+from ..runtime import Array, BatchMap, Named, as_array, require_memory_for
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -80,7 +80,7 @@ class Task:
     computed: Array | None = None
     passed: Array | None = None
     recorded: Sequence[float] | None = None
-    exposure: dict[str, Any] | None = None
+    exposure: Named | None = None
     checkpoint: Checkpoint | None = None
     batch_map: BatchMap | None = None
     systems: dict[float, OpticalSystem] = field(default_factory=dict)
@@ -97,7 +97,7 @@ class Found:
     """Image (rows, columns, channels), NaN where no light can come from, and facts as plain data by name."""
 
     image: Array
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: Named = field(default_factory=dict)
 
 
 def portion(progress: Progress, index: int, works: Sequence[float]) -> Progress:
@@ -157,7 +157,7 @@ def registered(name: object) -> RegisteredMethod:
     return METHODS[require_choice("method", name, METHODS)]
 
 
-def used_by(chosen: RegisteredMethod, **given: Any) -> dict[str, Any]:
+def used_by(chosen: RegisteredMethod, **given: Any) -> Named:
     """Return options, with None for options that the method ignores; one warning names them."""
     unused = [name for name, value in given.items() if value is not None and not chosen.takes(name)]
     if unused:

@@ -42,9 +42,9 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..fields import AxisStep, Directions, LensAxis, Step, bend
 from ..optics import guards, in_millimetres, rays
-from ..runtime import Array, check_memory, fft, work_limit
+from ..runtime import Array, Shape, check_memory, fft, work_limit
 
-Span = tuple[int, int]
+Span = Shape
 Window = tuple[Span, Span]
 """First and past-the-last pixel of the full detector, in x and in y."""
 
@@ -116,7 +116,7 @@ class FieldPlan:
     strips: tuple[Strip, ...]
     pupil: tuple[LensAxis, LensAxis]
     to_objects: tuple[Directions, ...]
-    bins: tuple[int, int]
+    bins: Shape
 
     @property
     def steps(self) -> tuple[Step, ...]:

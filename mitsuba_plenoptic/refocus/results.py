@@ -17,7 +17,7 @@ from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed, Shown
 from ..io import read_exr, write_exr, write_labelled_data
-from ..runtime import Array, Floats, atomic_output, require_memory, require_writable, require_zarr
+from ..runtime import Array, Floats, Named, atomic_output, require_memory, require_writable, require_zarr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -63,9 +63,9 @@ class Reconstruction(Displayed):
     bin_size: float
     method: str
     camera: PlenopticCamera
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Named = field(default_factory=dict)
     guards: dict[str, float] = field(default_factory=dict)
-    facts: dict[str, Any] = field(default_factory=dict)
+    facts: Named = field(default_factory=dict)
 
     def __repr__(self) -> str:
         """Return a description of the reconstruction in one line."""
@@ -77,7 +77,7 @@ class Reconstructions(Shown, list[Reconstruction]):
     """List of reconstructions of one capture, which notebooks show as pictures on one scale."""
 
 
-def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[str, Any] | None = None) -> None:
+def write_reconstruction(path: str | Path, result: Reconstruction, source: Named | None = None) -> None:
     """Write a reconstruction as float32 OpenEXR with camera, distance and method in the header.
 
     Parameters
@@ -92,7 +92,7 @@ def write_reconstruction(path: str | Path, result: Reconstruction, source: dict[
     write_exr(path, result.image, header_of(result, source or {}))
 
 
-def header_of(result: Reconstruction, source: dict[str, Any]) -> dict[str, Any]:
+def header_of(result: Reconstruction, source: Named) -> Named:
     """Return what the header of a reconstruction's file holds, with the metadata of the capture."""
     return {
         "kind": "reconstruction",
@@ -151,7 +151,7 @@ class Volume:
     values: Floats
     distances: tuple[float, ...]
     voxel_size: float
-    attributes: dict[str, Any] = field(default_factory=dict)
+    attributes: Named = field(default_factory=dict)
 
     @classmethod
     def of(cls, results: Sequence[Reconstruction]) -> Volume:
@@ -314,7 +314,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     size = 1000 * volume.voxel_size
     spacing = volume.spacing and 1000 * volume.spacing
     with atomic_output(path) as temporary:
-        metadata: dict[str, Any] = {"axes": axes}
+        metadata: Named = {"axes": axes}
         if _is_ome(path):
             for axis in "XY":
                 metadata |= {f"PhysicalSize{axis}": size, f"PhysicalSize{axis}Unit": "µm"}

@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_directions, lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
-from ..runtime import Array, Doubles, Flags, array_module, require_memory
+from ..runtime import Array, Doubles, Flags, Shape, array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
@@ -47,7 +47,7 @@ class Splat:
     fine: int
     footprints: list[Array]
     margin: int
-    size: tuple[int, int]
+    size: Shape
     place: Array
     lens_type: Array
     pixel: Array
@@ -91,7 +91,7 @@ class Splat:
                 out[first : first + spread.shape[0], first : first + spread.shape[1]] += spread
         return np.moveaxis(total[:, 2 * margin : down, 2 * margin : across], 0, -1)
 
-    def vjp(self, bins: Array, shape: tuple[int, int]) -> Array:
+    def vjp(self, bins: Array, shape: Shape) -> Array:
         """Return the transpose of `forward`: float64 pixels (rows, columns, channels)."""
         margin = self.margin
         down, across = self.size
@@ -167,7 +167,7 @@ def _in_bins(blur: Array, fine: int) -> Array:
 
 
 def _landing(
-    camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: tuple[int, int]
+    camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: Shape
 ) -> tuple[Array, Array, Array]:
     """Return sample, lens type and flat index of the pixels whose ray passes the pupil and lands on the bins.
 

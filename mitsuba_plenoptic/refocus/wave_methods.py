@@ -74,6 +74,7 @@ from ..runtime import (
     Field,
     Floats,
     Integers,
+    Shape,
     active_backend,
     array_module,
     check_memory,
@@ -347,7 +348,7 @@ class BackwardFields:
         )
 
     @property
-    def _subsets(self) -> list[tuple[int, int]]:
+    def _subsets(self) -> list[Shape]:
         return [(i, j) for j, i in np.ndindex(self._interleave, self._interleave)]
 
     def at_pupil(self, amplitude: Floats) -> Iterator[Field]:
@@ -376,7 +377,7 @@ class BackwardFields:
         field[...] = 0
         return field
 
-    def _to_pupil(self, strip: Strip, subset: tuple[int, int]) -> Chain:
+    def _to_pupil(self, strip: Strip, subset: Shape) -> Chain:
         """Return the way from the array to the main lens, through the microlenses of a subset."""
         step = strip.beyond_paraxial
         lenses = None
@@ -416,7 +417,7 @@ class BackwardFields:
         x, y = self._grids.pupil
         return power(field) * x.pitch * y.pitch / self._camera.pixel_size**2
 
-    def _on_array(self, strip: Strip, amplitude: Floats, subset: tuple[int, int] | None) -> Rows:
+    def _on_array(self, strip: Strip, amplitude: Floats, subset: Shape | None) -> Rows:
         """Return the field on the MLA from a strip of the detector, of all lenses or of a subset.
 
         Light that strays from another lens's pixels into a cell is deflected by a micro-image and misses the main lens.
@@ -425,7 +426,7 @@ class BackwardFields:
         pixels = self._workspace.repeated(amplitude[strip.rows], self._grids.subsamples)
         return self._to_array(strip, subset).forward(pixels, self._workspace)
 
-    def _to_array(self, strip: Strip, subset: tuple[int, int] | None) -> Hop:
+    def _to_array(self, strip: Strip, subset: Shape | None) -> Hop:
         """Return the way from a strip of the detector to the array, for the light of all lenses or of a subset."""
         light = converging(strip.to_mla, self._camera, self._wavelength, self._interleave, subset)
         return Hop(strip.to_mla, self._to_mla, light)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from ..errors import refuse_if
 from ..io import StageOptions
-from ..runtime import Array
+from ..runtime import Array, Named
 from .comparison_page import ANSWER, write_report
 from .edge import square_sharpness
 from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, RefocusMethod, Settings, open_store, run_experiment
@@ -39,7 +39,7 @@ from .windows import Zoom, brightest_zoom, lit_window
 
 def compare(
     settings: Settings, output: Path, *, stages: StageOptions | None = None, against: str | None = None
-) -> dict[str, Any]:
+) -> Named:
     """Return measurements of captures by rays and by waves and of their reconstructions, and write the report.
 
     Both captures have the main lens that the sensor's `lens_model` states, so that they differ by diffraction, at the
@@ -151,7 +151,7 @@ def answer(experiment: Experiment, difference: Difference) -> str:
 _COHERENT = ("coherent", "partial")
 
 
-def measure(experiment: Experiment) -> dict[str, Any]:
+def measure(experiment: Experiment) -> Named:
     """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
     ray = experiment.ray.image
     wave = experiment.wave.image
@@ -179,7 +179,7 @@ def measure(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
+def _reconstructions(experiment: Experiment) -> list[Named]:
     rows = []
     distances = experiment.settings.distances
     truths = [experiment.truths[distance] for distance in distances]
@@ -202,9 +202,9 @@ def _reconstructions(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
+def shape_interference(experiment: Experiment) -> list[Named]:
     """Return the interference within each flat shape at each distance, by coherent methods."""
-    rows: list[dict[str, Any]] = []
+    rows: list[Named] = []
     if not set(_COHERENT) | {"limit"} <= {name for name, _ in experiment.images}:
         return rows
     for name, (low, high) in experiment.boxes.items():
@@ -220,7 +220,7 @@ def shape_interference(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _edges(experiment: Experiment) -> list[dict[str, Any]]:
+def _edges(experiment: Experiment) -> list[Named]:
     rows = []
     camera = experiment.camera
     for name, (low, high) in experiment.boxes.items():

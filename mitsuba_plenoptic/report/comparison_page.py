@@ -10,7 +10,7 @@ from PIL import Image
 
 from .. import design
 from ..io import write_json
-from ..runtime import Array, software
+from ..runtime import Array, Named, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
@@ -34,7 +34,7 @@ def write_report(
     plates: Mapping[str, str],
     command: str,
     others: Sequence[Section],
-) -> dict[str, Any]:
+) -> Named:
     """Write ``results.json`` and ``report.html`` into the folder that holds the figures; return the results.
 
     The folder holds the figures, of which `plates` has the captions; buttons lead to the `zooms`; `others` are sections
@@ -185,7 +185,7 @@ def captures(experiment: Experiment, window: Window) -> dict[str, str]:
     return pictures
 
 
-def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> dict[str, Any]:
+def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Window) -> Named:
     """Return the size of the capture's cut-out, and the positions of close-ups as fractions of it."""
     rows, columns = experiment.wave.image.shape[:2]
     height, width = window.of(experiment.wave.image).shape[:2]
@@ -206,7 +206,7 @@ def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Wind
     }
 
 
-def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window: Window) -> dict[str, Any]:
+def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window: Window) -> Named:
     """Return pictures by method and distance, with metrics where they are known."""
     peak = Brightness().peak([*map(window.of, experiment.truths.values())])
     facts: dict[str, dict[str, list[list[str]]]] = {}

@@ -23,7 +23,7 @@ from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, header_of, reconstruct, require_distances
-from ..runtime import Array, Progress, in_words
+from ..runtime import Array, Named, Progress, in_words
 from ..scene import pass_counts
 from .images import luminance
 
@@ -123,11 +123,11 @@ class RefocusMethod(NamedTuple):
 
     name: str
     title: str
-    options: dict[str, Any]
+    options: Named
     source: str = "wave"
 
 
-_METHODS: dict[str, tuple[str, dict[str, Any]]] = {
+_METHODS: dict[str, tuple[str, Named]] = {
     "ray": ("Rays", {"method": "ray", "footprint": "lens"}),
     "coherent": ("Coherent", {"method": "coherent"}),
     "partial": ("Partially coherent", {"method": "partial", "interleave": 2}),
@@ -515,7 +515,7 @@ def refocused(
     """
     results: dict[float, Reconstruction] = {}
 
-    def make(distance: float, progress: Progress) -> tuple[Array, dict[str, Any]]:
+    def make(distance: float, progress: Progress) -> tuple[Array, Named]:
         if not results:
             together = reconstruct(capture, list(distances), progress=progress, **options)
             results.update({result.distance: result for result in together})

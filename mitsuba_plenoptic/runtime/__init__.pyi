@@ -12,7 +12,9 @@ from .backend import Doubles as Doubles
 from .backend import Flags as Flags
 from .backend import Floats as Floats
 from .backend import Integers as Integers
+from .backend import Named as Named
 from .backend import Pair as Pair
+from .backend import Shape as Shape
 from .backend import Triple as Triple
 from .backend import active_backend as active_backend
 from .backend import array_module as array_module

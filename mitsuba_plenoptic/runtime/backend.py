@@ -35,6 +35,12 @@ Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 """Arrays, of any numbers or by the type of their numbers."""
 
+Shape = tuple[int, int]
+"""Numbers of rows and columns, or of columns and rows."""
+
+Named = dict[str, Any]
+"""Values by name: parameters, options, facts of a file."""
+
 Pair = tuple[Any, Any]
 Triple = tuple[Any, Any, Any]
 """Two and three numbers or arrays of the backend, such as coordinates in a plane and in space."""

@@ -29,7 +29,7 @@ from ..design import objective_of
 from ..errors import InputError, advice, refuse_if, refusing, require_number, require_wavelength, short_repr
 from ..optics import rays
 from ..prescription import image_distance
-from ..runtime import MILLIMETRES, Array, require_pixels, require_units
+from ..runtime import MILLIMETRES, Array, Named, require_pixels, require_units
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
@@ -77,7 +77,7 @@ def light_field(
     refuse_if(weight.size and not (weight.min() >= 0 and weight.max() <= 1), "light field: a weight is not from 0 to 1")
     white = weight if white is None else white
     refuse_if(white.size and not 0 <= white.min() <= white.max() < math.inf, "light field: a white is not 0 or more")
-    coordinates: dict[str, Any] = {"weight": (DIMS, weight), "white": (DIMS, white)}
+    coordinates: Named = {"weight": (DIMS, weight), "white": (DIMS, white)}
     for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
         views = values.shape[DIMS.index(angular)]
         size = values.shape[DIMS.index(spatial)]
@@ -108,7 +108,7 @@ def light_field(
     return labelled(values, coordinates, attributes)
 
 
-def labelled(values: Array, coordinates: dict[str, Any], attributes: dict[str, str]) -> xr.DataArray:
+def labelled(values: Array, coordinates: Named, attributes: dict[str, str]) -> xr.DataArray:
     """Return radiance (v, u, t, s[, 3]) as an array with coordinates and attributes."""
     colours = {"c": ("c", ["R", "G", "B"])} if values.ndim == 5 else {}
     dims = (*DIMS, *colours)
@@ -170,7 +170,7 @@ def stated_disparities(lf: xr.DataArray) -> tuple[float, float] | None:
     return least, greatest
 
 
-def _record(lf: xr.DataArray | xr.Dataset, name: str) -> dict[str, Any]:
+def _record(lf: xr.DataArray | xr.Dataset, name: str) -> Named:
     """Return the content of a JSON attribute of a light field."""
     with refusing(
         f"light field: its attribute {name} = {short_repr(lf.attrs[name])} is no JSON:", TypeError, ValueError

@@ -26,13 +26,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, Pair, exponents, monomials, on_all_cores
+from ..runtime import Doubles, Pair, Shape, exponents, monomials, on_all_cores
 from .accuracy import USUAL
 
 
-def of_middles(
-    exponents: list[tuple[int, int]], fields: dict[tuple[int, int], NDArray[np.complex128]]
-) -> list[Doubles]:
+def of_middles(exponents: list[Shape], fields: dict[Shape, NDArray[np.complex128]]) -> list[Doubles]:
     r"""Return the diffraction of powers of the middle of two points, from that of fields times powers of one point.
 
     Integrals are sums of products, as :math:`m^i = 2^{-i} \sum_a \binom{i}{a} x_1^a x_2^{i-a}` for middles m.
@@ -54,7 +52,7 @@ class LensFunctions:
     # Length by which coordinates are divided in the monomials.
     scale: float
     # Powers of u and v of the monomial that each polynomial adds to the previous ones.
-    exponents: list[tuple[int, int]]
+    exponents: list[Shape]
     # Coefficients (monomials, polynomials).
     triangle: Doubles
     # Coefficients (polynomials, functions) of the functions and of their duals.

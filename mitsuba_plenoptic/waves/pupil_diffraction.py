@@ -36,7 +36,7 @@ from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, exponents, single_threaded_blas
+from ..runtime import Doubles, Pair, Shape, exponents, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -188,7 +188,7 @@ class PupilDiffraction:
         return scipy.fft.fftshift(scipy.fft.ifft2(ratio).real, (1, 2))
 
     @single_threaded_blas()
-    def _fields(self, places: Doubles, powers: list[tuple[int, int]]) -> dict[tuple[int, int], NDArray[np.complex128]]:
+    def _fields(self, places: Doubles, powers: list[Shape]) -> dict[Shape, NDArray[np.complex128]]:
         """Return transforms of transmission times powers, at detector places in `unit` along both axes."""
         x = along(USUAL.pupil_samples)
         transmission = self._pupil.transmission
