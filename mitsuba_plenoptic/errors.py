@@ -36,7 +36,7 @@ class InputError(ValueError):
     Whatever files and arguments put into the message, it stays one line of printable characters.
     """
 
-    def __init__(self, message: str) -> None:
+    def __init__(self, message: str):
         super().__init__(printable(message, 1000))
 
 

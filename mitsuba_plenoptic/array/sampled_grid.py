@@ -112,7 +112,7 @@ def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
 class SampledGrid:
     """A bicubic spline through samples, centred on the lens; first and last column are `width` mm apart."""
 
-    def __init__(self, samples: Doubles, width: float) -> None:
+    def __init__(self, samples: Doubles, width: float):
         self._samples = samples
         self._step = width / (samples.shape[1] - 1)
 

@@ -18,11 +18,7 @@ def doctor(*, as_json: Json = False) -> None:
     installation = inspect_installation()
     if as_json:
         sections = {title: dict(lines) for title, lines in installation.sections.items()}
-        facts = {
-            "ready": installation.ready,
-            "verdict": installation.verdict,
-            "problem": installation.problem,
-        }
+        facts = {"ready": installation.ready, "verdict": installation.verdict, "problem": installation.problem}
         typer.echo(json.dumps(facts | sections, indent=1))
         raise typer.Exit(0 if installation.ready else 1)
     for title, lines in installation.sections.items():

@@ -58,7 +58,7 @@ def _film_class(variant: str) -> type:
         redraws = False
         """Whether an integrator is about to render means over rays that pass."""
 
-        def __init__(self, film: Any) -> None:
+        def __init__(self, film: Any):
             props = mi.Properties("detector_film")
             props["rfilter"] = film.rfilter()
             super().__init__(props)

@@ -73,7 +73,7 @@ class NonNegative:
     light. The result therefore has the sum of the image, or is black if that sum is below zero.
     """
 
-    def __init__(self, image: Array) -> None:
+    def __init__(self, image: Array):
         # Zeros count as positive: black pixels may become brighter.
         self._positive, self._light = image >= 0, np.maximum(image, 0)
         self.image: Array = self._light

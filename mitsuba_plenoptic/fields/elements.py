@@ -30,7 +30,7 @@ class Element:
         along_x: Field | None = None,
         along_y: Field | None = None,
         samples: Field | None = None,
-    ) -> None:
+    ):
         self._step = step
         self._function = function
         self._samples = samples

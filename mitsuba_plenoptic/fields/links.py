@@ -96,7 +96,7 @@ class Hop:
 
     def __init__(
         self, step: Step, space: FreeSpace, element: Element | None = None, check: Callable[[Watch], None] | None = None
-    ) -> None:
+    ):
         self.step, self._space, self._element, self._check = step, space, element or Element(step), check
 
     def forward(self, source: Rows, workspace: FieldWorkspace) -> Rows:
@@ -151,7 +151,7 @@ class Spectrum:
 class FromSpectrum:
     """The way back of `Spectrum`, to the destination samples of a step; `check` is called as by `Hop`."""
 
-    def __init__(self, step: Step, check: Callable[[Watch], None]) -> None:
+    def __init__(self, step: Step, check: Callable[[Watch], None]):
         self.step = step
         self._check = check
 
@@ -174,7 +174,7 @@ class Fresnel:
     The field on the second plane is kept line by line: along its y for each x.
     """
 
-    def __init__(self, step: Directions, onto: tuple[LensAxis, LensAxis], distance: float, wavelength: float) -> None:
+    def __init__(self, step: Directions, onto: tuple[LensAxis, LensAxis], distance: float, wavelength: float):
         wave_path = in_millimetres(wavelength) * distance
 
         def curved(x: Any, y: Any) -> Any:

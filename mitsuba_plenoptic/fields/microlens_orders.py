@@ -70,7 +70,7 @@ class ArrayFactor(ABC):
 
     _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
-    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]):
         lattice = camera.lattice
         types = len(camera.mla_focal_lengths)
         self._camera = camera
@@ -143,7 +143,7 @@ class AxisFactor(ArrayFactor):
 
     _precision: type = np.complex128
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, axis: int):
         highest = cosine / in_millimetres(wavelength)
         count = int(highest * camera.mla_pitches[axis])
         super().__init__(camera, (axis,), (fft.fast_length(ACCURACY.order_samples[0] * max(count, 1)),))
@@ -192,9 +192,7 @@ class PlaneFactor(ArrayFactor):
     The orders are computed from at least `fine` samples across the smaller pitch.
     """
 
-    def __init__(
-        self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = ACCURACY.edge_samples
-    ) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float, cosine: float, fine: int = ACCURACY.edge_samples):
         sides = camera.lattice.period(len(camera.mla_focal_lengths))
         self._wavelength = wavelength
         self._cosine = cosine
@@ -284,7 +282,7 @@ class MicrolensArray:
     they take long to compute for an array that is not separable.
     """
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float):
         self._camera = camera
         self._wavelength = wavelength
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}

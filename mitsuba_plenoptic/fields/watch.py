@@ -19,7 +19,7 @@ class Watch:
     transform along x. `check` is called with these numbers when all of the spectrum has passed.
     """
 
-    def __init__(self, step: Step, check: Callable[[Watch], None]) -> None:
+    def __init__(self, step: Step, check: Callable[[Watch], None]):
         x = step.x
         y = step.y
         self._step = step

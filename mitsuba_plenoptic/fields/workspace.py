@@ -41,7 +41,7 @@ class FieldWorkspace:
         steps: Iterable[Step],
         report: Callable[[int], None] = lambda transformed: None,
         buffers: dict[str, Field] | None = None,
-    ) -> None:
+    ):
         self.libraries = active_backend()
         self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
         self._transformed = 0

@@ -56,7 +56,7 @@ class StageOptions:
 class Cache:
     """Entries in a folder, which is made with the first of them."""
 
-    def __init__(self, folder: Path, options: StageOptions | None = None) -> None:
+    def __init__(self, folder: Path, options: StageOptions | None = None):
         options = options or StageOptions()
         self.folder = folder
         self.seconds: dict[str, float] = {}

@@ -74,7 +74,7 @@ class Checkpoint:
         it.
     """
 
-    def __init__(self, path: str | Path, existing: Existing = "refuse") -> None:
+    def __init__(self, path: str | Path, existing: Existing = "refuse"):
         require_choice("existing", existing, get_args(Existing))
         self.path = Path(path)
         self.run: Named = {}

@@ -66,7 +66,7 @@ class Wavefront:
         # Radius of the pupil, in millimetres.
         radius: Any,
         screen: PhaseScreen | None = None,
-    ) -> None:
+    ):
         self._radius = radius
         self._screen = screen
         size = max((len(zernike(j)) for j in range(1, len(coefficients) + 1)), default=0)

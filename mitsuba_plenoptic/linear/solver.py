@@ -56,7 +56,7 @@ _LEAST_AVERAGED = 1e-3
 class Steps:
     """The steps of a method towards the light of an image; elements of less than the fraction `least` count as dark."""
 
-    def __init__(self, operator: LinearMap, image: Array, least: float) -> None:
+    def __init__(self, operator: LinearMap, image: Array, least: float):
         self.operator = operator
         self.image = image
         # What each element sends to the detector, and the mask of those that are not dark.
@@ -219,7 +219,7 @@ class RichardsonLucy(Steps):
         image: Array,
         shift: float = 0.0,
         penalty: Callable[[Array, Flags], Array] | None = None,
-    ) -> None:
+    ):
         # 1e-4: Light of an element on the detector, over that of the best one, below which they take it for dark.
         super().__init__(operator, image, 1e-4)
         self._penalty = penalty
@@ -253,7 +253,7 @@ class RichardsonLucy(Steps):
 class _Averages(Steps):
     """Steps by averages over the pixels of each element, in double precision."""
 
-    def __init__(self, operator: LinearMap, image: Array, relaxation: float) -> None:
+    def __init__(self, operator: LinearMap, image: Array, relaxation: float):
         super().__init__(operator, image, _LEAST_AVERAGED)
         self.light = self.light.astype(np.float64)
         self._relaxation = relaxation

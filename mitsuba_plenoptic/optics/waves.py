@@ -147,7 +147,7 @@ class StepGuard:
     `pitch` is the distance between samples in millimetres.
     """
 
-    def __init__(self, field: Field, pitch: float, wavelength: float) -> None:
+    def __init__(self, field: Field, pitch: float, wavelength: float):
         self._shape = field.shape
         self._cosine = in_millimetres(wavelength) / (2 * pitch)
         self._step = _row_step(field)

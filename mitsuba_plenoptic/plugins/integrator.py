@@ -186,7 +186,7 @@ def make_class() -> type:
 
         plugin = NAME
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: Any):
             super().__init__(props)
             self._read_spectrum(props)
             self.method = require_choice(f"{NAME}: method", props.get("method", SIGNED_RAYS), (SIGNED_RAYS, POINTS))

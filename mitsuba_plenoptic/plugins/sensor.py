@@ -111,7 +111,7 @@ def make_class() -> type:
         __doc__ = with_sensor_parameters(__doc__ or "")
         _rays: Any = None
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: Any):
             for name in ("near_clip", "far_clip"):
                 if name in props:
                     raise InputError(

@@ -228,8 +228,7 @@ def _zones(
     for width in ZONES:
         first = cell // width * width
         square = np.max(
-            [(_on_array(camera, first + np.array(corner) * width) ** 2).sum(1) for corner in np.ndindex(2, 2)],
-            axis=0,
+            [(_on_array(camera, first + np.array(corner) * width) ** 2).sum(1) for corner in np.ndindex(2, 2)], axis=0
         )
         waves = path_change(lens, np.sqrt(square), pitch, wavelength)
         # 0.6: Width of a zone, in wavefront changes from lens to lens, over the allowed wavefront step.

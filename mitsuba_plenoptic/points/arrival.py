@@ -407,9 +407,7 @@ def stop_image_arrival(
         with fft.resting_drjit():
             field = fft.fft2(spectrum, inverse=True)
     stop = SampledField(
-        field[::-1, ::-1],
-        (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample),
-        sample,
+        field[::-1, ::-1], (origin[0] * scale - (columns - 1) * sample, origin[1] * scale - (rows - 1) * sample), sample
     )
     return stop, Arrival(field * np.float32(abs(scale)), 0, ())
 

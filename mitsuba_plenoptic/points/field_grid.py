@@ -201,10 +201,7 @@ def _place(grid: Grid, positions: Doubles) -> Placement:
     moved = spread / _TAILS + 2 * distance / medium * steepest
     width = np.maximum.reduce([_WIDTH_PER_BLUR * blur + spread / 3, blur + moved, np.full_like(blur, spread)])
     width += np.abs(aside).max(1)
-    fft.check_samples(
-        float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)),
-        "from the axis",
-    )
+    fft.check_samples(float(((np.abs(image.centre) + width[:, None]) / grid.pitch).max(initial=0)), "from the axis")
     # Sample counts rounded up to a few fast FFT lengths, so that many points share one length.
     minimum = width / grid.pitch.min()
     counts = [fft.fast_length(16)]

@@ -158,7 +158,7 @@ class Apertures:
     `power` is in units of a sample, of the last field.
     """
 
-    def __init__(self, system: OpticalSystem, step: Step) -> None:
+    def __init__(self, system: OpticalSystem, step: Step):
         array = system.microlenses
         camera = system.camera
         pitches = np.array([step.x.pitch, step.y.pitch])
@@ -261,9 +261,7 @@ def recorded_pixels(camera: PlenopticCamera) -> Box:
 class FullFieldPlan:
     """Captures of points by full fields, with the parameters of `PatchPlan`; `accuracy` is not used."""
 
-    def __init__(
-        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
-    ) -> None:
+    def __init__(self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float):
         self._system = system
         self._camera = system.camera
         self._points = points
@@ -302,7 +300,7 @@ class FullFieldPlan:
 class FullFieldSum:
     """A sum of full fields, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: FullFieldPlan, weights: Doubles) -> None:
+    def __init__(self, plan: FullFieldPlan, weights: Doubles):
         self._plan, self._weights = plan, weights.astype(np.float32)
         self._lit = np.flatnonzero(weights.any(1))
         self.arrays = np

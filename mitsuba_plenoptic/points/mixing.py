@@ -50,7 +50,7 @@ class SpectralSum:
 class WeightChannels:
     """Wavelengths of the columns of weights, from one wavelength or a spectrum, and the image channels."""
 
-    def __init__(self, wavelength: float | None, spectrum: Spectrum | None) -> None:
+    def __init__(self, wavelength: float | None, spectrum: Spectrum | None):
         self._wavelength = wavelength
         self.spectrum = spectrum
 
@@ -139,7 +139,7 @@ class WavelengthPlans:
         pupil_weights: PupilWeights | None,
         accuracy: float,
         systems: dict[float, OpticalSystem],
-    ) -> None:
+    ):
         self._make = make
         self._camera = camera
         self._systems = systems

@@ -110,7 +110,7 @@ class CaptureOperator(CoherentPoints, LinearMap):
         pupil_weights: Any = None,
         virtual: bool = False,
         system: OpticalSystem | None = None,
-    ) -> None:
+    ):
         if (wavelength is None) == (spectrum is None):
             raise InputError("wavelength, spectrum: give one of the two")
         camera = _as_regular(require_camera(camera))

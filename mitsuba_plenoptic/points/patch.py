@@ -64,7 +64,7 @@ _CUDA = _Sizes(group=2**23, block=2**31, chain=2**21)
 class PatchWorkspace:
     """Memory for the transforms of the points of a batch."""
 
-    def __init__(self, batch: PatchBatch) -> None:
+    def __init__(self, batch: PatchBatch):
         arrays = batch.libraries.arrays
         count = batch.together
         m = batch.mla_samples
@@ -82,7 +82,7 @@ class PatchBatch:
     `parts` are the factors on the fields, as `PatchFactors` has them: pupil, microlens array, transfer function.
     """
 
-    def __init__(self, fields: Fields, amplitudes: Doubles) -> None:
+    def __init__(self, fields: Fields, amplitudes: Doubles):
         self.libraries = active_backend()
         self.sizes = _CUDA if self.libraries.is_cuda else _PROCESSOR
         self.factors = factors_of_points = PatchFactors(fields, amplitudes)
@@ -193,7 +193,7 @@ class Memory:
     the next point takes longer than the transforms.
     """
 
-    def __init__(self, arrays: Any = np) -> None:
+    def __init__(self, arrays: Any = np):
         self.arrays = arrays
         self._fields: dict[tuple[int, ...], list[Field]] = {}
         self._used: Counter[tuple[int, ...]] = Counter()
@@ -260,7 +260,7 @@ class FieldChain:
         finer: int,
         memory: Memory,
         returning: Field | None = None,
-    ) -> None:
+    ):
         pupil, *lenses, self._transfer = factors
         self._finer = finer
         self._returning = returning

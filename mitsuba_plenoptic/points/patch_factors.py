@@ -105,7 +105,7 @@ class PatchFactors:
 
     def __init__(
         self, fields: Fields, amplitudes: Doubles, elements: Callable[[int], Elements] | None = None, types: Any = None
-    ) -> None:
+    ):
         """Prepare the factors of fields with given amplitudes.
 
         `elements` is a function from the number of lanes to the elements; the default is those of the grid's camera.
@@ -241,13 +241,7 @@ class PatchFactors:
             cover = cover * amplitude
         return phasor(waves) * (bright * cover), dr.block_sum(power, size * size) * self._constant(math.prod(steps))
 
-    def _path(
-        self,
-        elements: Elements,
-        light: Light,
-        pupil: Pair,
-        point: Triple,
-    ) -> Any:
+    def _path(self, elements: Elements, light: Light, pupil: Pair, point: Triple) -> Any:
         """Return the path in waves from points to the pupil, both given in the lattice frame."""
         camera = self._grid.camera
         is_round = not camera.wavefront and camera.phase_screen is None

@@ -72,7 +72,7 @@ class PatchPlan:
         *,
         band: Band | None = None,
         shared: bool = True,
-    ) -> None:
+    ):
         camera = system.camera
         wavelength = system.wavelength
         self._camera, self._pupil_weights, self._count = camera, pupil_weights, len(points)
@@ -323,7 +323,7 @@ def _some(patterns: Integers, count: int = 16) -> Integers:
 class PatchSum:
     """A sum of point spreads, computed batch by batch, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: PatchPlan, weights: Doubles) -> None:
+    def __init__(self, plan: PatchPlan, weights: Doubles):
         self._plan = plan
         self._weights = weights
         self._chunks, self.items = plan.lit_chunks(weights)

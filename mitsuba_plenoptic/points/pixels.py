@@ -119,7 +119,7 @@ def windowed_sinc(distance: Doubles) -> Doubles:
 class PixelIntegrals:
     """A sum of products of weights along y and x: integrals over pixels, or derivatives as pixels move."""
 
-    def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[Pair] | None = None) -> None:
+    def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[Pair] | None = None):
         self._axes = along_x, along_y
         self._terms = terms or [(along_y.weights, along_x.weights)]
 
@@ -229,7 +229,7 @@ class TurnedSamples:
         new_origin: tuple[float, float],
         shape: Shape,
         regular: Callable[[Any, Any], Pair] | None,
-    ) -> None:
+    ):
         self._samples = samples
         self._regular = regular
         self._pitch = pitch

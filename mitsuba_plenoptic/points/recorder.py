@@ -38,7 +38,7 @@ class Recorder:
         parent: Recorder | None = None,
         regular: Callable[[Any, Any], Pair] | None = None,
         aside: float = 0.0,
-    ) -> None:
+    ):
         self._camera = camera
         self._grid = grid
         self._whole = parent

@@ -47,9 +47,7 @@ _SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
 class ShiftedPlan(FullFieldPlan):
     """Captures of points by shifted full fields, with the parameters of `PatchPlan`."""
 
-    def __init__(
-        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
-    ) -> None:
+    def __init__(self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float):
         super().__init__(system, points, pupil_weights, accuracy)
         camera, lens = system.camera, objective_of(system.camera)
         refuse_if(pupil_weights is not None, "pupil_weights: spreads of method patch are shared there; use full_field")
@@ -101,7 +99,7 @@ class ShiftedPlan(FullFieldPlan):
 class ShiftedSum(FullFieldSum):
     """A sum of shifted full fields, depth by depth."""
 
-    def __init__(self, plan: ShiftedPlan, weights: Doubles) -> None:
+    def __init__(self, plan: ShiftedPlan, weights: Doubles):
         super().__init__(plan, weights)
         self._layers = plan.layers(self._lit)
         self.items = np.array([*map(len, self._layers)], np.int64)
@@ -188,7 +186,7 @@ class ShiftedLayer:
     wholly are retained or left out whole; where the field stop cuts that light, it ends the spot on the detector.
     """
 
-    def __init__(self, system: OpticalSystem, spots: Spots, positions: Doubles) -> None:
+    def __init__(self, system: OpticalSystem, spots: Spots, positions: Doubles):
         camera, lens = system.camera, objective_of(system.camera)
         self._camera, self._spots, self._lens = camera, spots, cast(FourierLens, system.lens)
         # Millimetres in the native image plane for a pixel.

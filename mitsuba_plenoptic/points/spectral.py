@@ -15,12 +15,7 @@ _COUNTS = (1, 2, 4, 6, 8, 10, 12, 16, 24, 32, 48, 64)
 """Nodes that are tried; more would resolve fringes that no detector does."""
 
 
-def with_enough_nodes(
-    camera: PlenopticCamera,
-    points: Any,
-    spectrum: Spectrum,
-    error: float,
-) -> Spectrum:
+def with_enough_nodes(camera: PlenopticCamera, points: Any, spectrum: Spectrum, error: float) -> Spectrum:
     """Return a spectrum with as few nodes as accurate point spreads need.
 
     The number is raised in steps until images of each point, in every channel, change by no more than half of the
@@ -35,13 +30,9 @@ def with_enough_nodes(
     def images(count: int, recorded: PlenopticCamera) -> list[Floats]:
         chosen = spectrum.interpolated(count)
         return [
-            CaptureOperator(
-                recorded,
-                points[some],
-                spectrum=chosen,
-                accuracy=0.0,
-                virtual=True,
-            ).forward(np.ones((len(some), len(spectrum.wavelengths))))
+            CaptureOperator(recorded, points[some], spectrum=chosen, accuracy=0.0, virtual=True).forward(
+                np.ones((len(some), len(spectrum.wavelengths)))
+            )
             for some in np.arange(len(points))[:, None]
         ]
 

@@ -27,7 +27,7 @@ class Copies:
 class PatchTile:
     """The rectangle of the grid that the point spreads of one batch cover."""
 
-    def __init__(self, batch: PatchBatch, copies: list[Copies]) -> None:
+    def __init__(self, batch: PatchBatch, copies: list[Copies]):
         self._batch = batch
         self._copies = copies
         self.box = reached(batch.corner, batch.samples, copies)

@@ -42,7 +42,7 @@ class Integrals:
     since for a large plane they would take many times the memory of its bins.
     """
 
-    def __init__(self, edges_of: Callable[[slice], Doubles], lines: int, bins: int, count: int) -> None:
+    def __init__(self, edges_of: Callable[[slice], Doubles], lines: int, bins: int, count: int):
         self._edges_of = edges_of
         self._shape = (lines, bins)
         self._half = count // 2
@@ -132,7 +132,7 @@ class BinSums:
     Sums are in pixel values times pixels. Negative sums, which cubic interpolation may give, are set to zero.
     """
 
-    def __init__(self, step: Directions, camera: PlenopticCamera, wavelength: float, oversample: int) -> None:
+    def __init__(self, step: Directions, camera: PlenopticCamera, wavelength: float, oversample: int):
         width = camera.row_pitch / (camera.mla_distance * oversample)
         columns, rows = (count * oversample for count in camera.bin_count)
         # Lines of the main lens are along y.

@@ -36,7 +36,7 @@ from .splatting import pixel_rows
 class PupilCentroid:
     """Centroid in the pupil of a pixel's light, with the diffraction by the pixel's microlens."""
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float):
         # Width of the plane in which the pupil is spread, in radii of the pupil.
         window = 8 * camera.aperture_radius
         # Spatial frequencies over the pupil plane correspond to positions in the microlens.

@@ -87,7 +87,7 @@ class LensTile:
         oversample: int,
         resolved: bool = True,
         fraction: float = 1.0,
-    ) -> None:
+    ):
         self.camera = camera
         self.wavelength = wavelength
         self.lenses = lenses
@@ -182,7 +182,7 @@ class LensSet:
     and rows up to the last.
     """
 
-    def __init__(self, tile: LensTile) -> None:
+    def __init__(self, tile: LensTile):
         camera = tile.camera
         ends = np.array([camera.pixel_coordinates(axis)[[0, -1]] for axis in (0, 1)])
         ends += np.array([-0.5, 0.5]) * camera.pixel_size

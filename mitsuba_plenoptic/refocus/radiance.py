@@ -172,7 +172,7 @@ class WeakBins:
     The division by white would amplify their light. They share sums with the bins around them, over one lens.
     """
 
-    def __init__(self, white: Array, rays: Array, oversample: int) -> None:
+    def __init__(self, white: Array, rays: Array, oversample: int):
         """Find bins of less than a quarter of the white that as many rays bring around them."""
         self._lens = oversample // 2 * 2 + 1
         self._weak = white * self._around(rays) < 0.25 * rays * self._around(white)
@@ -215,7 +215,7 @@ class LensSpread:
     otherwise all light of a lens would go to the bin that contains its centre, and some bins would receive none.
     """
 
-    def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0) -> None:
+    def __init__(self, camera: PlenopticCamera, oversample: int, fine: int, scale: float = 1.0):
         self._aperture = camera.lattice.aperture_image(camera.row_pitch / (oversample * fine), scale)
         self._fine = fine
 

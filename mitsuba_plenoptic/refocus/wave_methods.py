@@ -310,7 +310,7 @@ class BackwardFields:
         with_vjp: bool = False,
         to_planes: Sequence[Step] = (),
         progress: Progress = lambda done: None,
-    ) -> None:
+    ):
         self._camera = camera
         self._wavelength = wavelength
         self._grids = grids
@@ -446,7 +446,7 @@ class BackwardFields:
 class _Pupil:
     """Samples of a round pupil, line by line along y, with fractions for samples on the edge."""
 
-    def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float) -> None:
+    def __init__(self, axes: tuple[LensAxis, LensAxis], radius: float):
         arrays = active_backend().arrays
         across, along = (axis.pitch for axis in axes)
         x, y = (axis.samples for axis in axes)

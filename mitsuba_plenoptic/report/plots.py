@@ -66,7 +66,7 @@ class Plot(Figure):
         Dots per inch of a PNG. Default: those of reports.
     """
 
-    def __init__(self, width: float, height: float | None = None, dpi: int | None = None) -> None:
+    def __init__(self, width: float, height: float | None = None, dpi: int | None = None):
         self._fits_panels = height is None
         self._engine = ConstrainedLayoutEngine(compress=self._fits_panels, w_pad=_GAP, h_pad=_GAP, wspace=0, hspace=0)
         super().__init__((width, height or width), dpi or DPI, facecolor="white", layout=self._engine)

@@ -121,7 +121,7 @@ class Threads:
         self,
         # Default: the cores that this process may use, up to a number. A CUDA device takes its work from one.
         count: int | None = None,
-    ) -> None:
+    ):
         # Threads that batches are computed on by default: each takes memory, and Dr.Jit's part is done by one of them.
         self.workers = self.threads = 1 if active_backend().is_cuda else count or min(worker_count(), 16)
 
@@ -394,7 +394,7 @@ class Cluster:
 
     threads = 0
 
-    def __init__(self, *, workers: int | None = None, scheduler: str | None = None) -> None:
+    def __init__(self, *, workers: int | None = None, scheduler: str | None = None):
         refuse_if((workers is None) == (scheduler is None), "workers, scheduler: give one of the two")
         self._count = None if workers is None else require_count("workers", workers, maximum=1024)
         self._scheduler = scheduler

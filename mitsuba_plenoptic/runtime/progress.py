@@ -72,7 +72,7 @@ def in_words(seconds: float) -> str:
 class ProgressBar:
     """Display of progress, for the argument `progress` of this package's long computations."""
 
-    def __init__(self, label: str, show: Callable[[int, int], None] | None = None, hint: str = "") -> None:
+    def __init__(self, label: str, show: Callable[[int, int], None] | None = None, hint: str = ""):
         self._show = show
         self._hint = hint
         self.begin(label)
@@ -142,7 +142,7 @@ class Forecast(ProgressBar):
 
     def __init__(
         self, tell: Callable[[float], None], progress: Callable[[int, int], None] | None = None, least: float = 0.0
-    ) -> None:
+    ):
         super().__init__("", progress)
         self._least = least
         self._tell: Callable[[float], None] | None = tell

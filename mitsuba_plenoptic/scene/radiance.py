@@ -252,7 +252,7 @@ class ReplayedLight:
 
     is_radiance = False
 
-    def __init__(self, light: LightDerivatives) -> None:
+    def __init__(self, light: LightDerivatives):
         self._light = light
 
     def __call__(

@@ -23,7 +23,7 @@ LEAST = 0.9
 class ViewComparison:
     """Comparison of the views of a light field, shifted for a disparity; see `lens_agreement.LensComparison`."""
 
-    def __init__(self, lf: xr.DataArray) -> None:
+    def __init__(self, lf: xr.DataArray):
         self._lf = lf
         self._texture = texture_of(lf)
         # Along u and along v, (2, v, u).

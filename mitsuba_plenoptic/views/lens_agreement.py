@@ -63,7 +63,7 @@ _SHARED = 2.0
 class LensComparison:
     """The micro-images of a capture, for comparison plane by plane."""
 
-    def __init__(self, images: MicroImages) -> None:
+    def __init__(self, images: MicroImages):
         require_support(images.camera, Use.ROUND_PUPILS)
         self._images = images
         # Smoothed within micro-images, weighted by the part of the pupil that samples see.

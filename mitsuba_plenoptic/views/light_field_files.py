@@ -136,11 +136,7 @@ def _step(path: Path) -> str:
 
 
 def open_micro_images(
-    path: str | Path,
-    *,
-    white: str | Path | None,
-    linear: bool,
-    camera: PlenopticCamera | None,
+    path: str | Path, *, white: str | Path | None, linear: bool, camera: PlenopticCamera | None
 ) -> MicroImages | None:
     """Return the micro-images in a capture's file, for depth maps of focused cameras; None for other cameras.
 

@@ -75,11 +75,7 @@ def refocus(lf: xr.DataArray, distance: float) -> xr.DataArray:
 
 @suggest_keywords
 def focal_stack(
-    lf: xr.DataArray,
-    distances: Sequence[float],
-    *,
-    by: str = "distance",
-    progress: Progress | None = None,
+    lf: xr.DataArray, distances: Sequence[float], *, by: str = "distance", progress: Progress | None = None
 ) -> xr.DataArray:
     """Return a light field refocused to several distances by `shift_and_add`.
 

@@ -33,7 +33,7 @@ class FirstHits:
         sensor: Any,
         # What to find, of `QUANTITIES`.
         names: Sequence[str],
-    ) -> None:
+    ):
         refuse_if(
             mi.is_spectral and "albedo" in names,
             f"aov = 'albedo': variant {mi.variant()} has a spectrum; load the scene in an rgb variant",

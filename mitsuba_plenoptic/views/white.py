@@ -48,7 +48,7 @@ class PupilFraction:
         camera: PlenopticCamera,
         # Which of its types of lenses, if there are several.
         lens_type: int = 0,
-    ) -> None:
+    ):
         smear = abs(camera.pupil_shift(camera.mla_focal_lengths[lens_type]))
         reach = camera.aperture_radius + smear * camera.lattice.aperture_reach + camera.pupil_step
         pixels = 2 * reach / camera.pupil_step
@@ -270,10 +270,7 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
 
 
 def recorded_white(
-    white: Capture | Array,
-    shape: tuple[int, ...],
-    cameras: Sequence[PlenopticCamera],
-    computed: Array | None = None,
+    white: Capture | Array, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera], computed: Array | None = None
 ) -> Array:
     """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 

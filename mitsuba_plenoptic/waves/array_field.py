@@ -29,7 +29,7 @@ Pair = tuple[Doubles, Doubles]
 class LensWaves:
     """Phases of a camera's microlenses at one wavelength, relative to the phases by which rays are deflected."""
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float):
         """Take a camera whose detector is near the microlenses' focus; one with glass is taken `at_wavelength`."""
         self.camera = camera
         self.wavelength = wavelength

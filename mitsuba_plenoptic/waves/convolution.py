@@ -30,7 +30,7 @@ class Convolution:
         kernels: Sequence[Floats],
         # Largest rows and columns of samples that are convolved together; by default those of `box`.
         size: tuple[int, int] | None = None,
-    ) -> None:
+    ):
         self._window = box_of(camera, 0)
         self._margin = margin_of(kernels)
         self.ranks, self.box = len(kernels), self._window.within(self._margin)

@@ -69,7 +69,7 @@ class FittedPupil:
     """Functions and kernels of one pupil of any shape, with polynomials of some degree."""
 
     @single_threaded_blas()
-    def __init__(self, samples: PupilSamples, degree: int) -> None:
+    def __init__(self, samples: PupilSamples, degree: int):
         self._aperture = samples.aperture
         self._degree = degree
         self._transmission = means(samples.transmission, _SAMPLES)

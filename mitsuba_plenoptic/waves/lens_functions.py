@@ -142,7 +142,7 @@ class LegendreProducts:
 
     scale = 1.0
 
-    def __init__(self, u: Doubles, v: Doubles, degree: int, symmetric: bool) -> None:
+    def __init__(self, u: Doubles, v: Doubles, degree: int, symmetric: bool):
         """Take points that fill the part evenly."""
         self.pairs = [(i, j) for i, j in exponents(degree) if not (symmetric and (i + j) % 2)]
         # Middle and half width, along u and v, of the box around the part.

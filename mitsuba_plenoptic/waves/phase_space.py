@@ -435,7 +435,7 @@ def tabulate(plans: Sequence[PhaseSpace]) -> None:
 class TableNodes:
     """Nodes of a plan's table, of which a ray takes a random one near its pupil point."""
 
-    def __init__(self, plan: PhaseSpace) -> None:
+    def __init__(self, plan: PhaseSpace):
         self._radial = plan.accuracy.radial
         self._radius = dr.opaque(mi.Float, plan.camera.pupil_radius)
         self._angular = drjit_array(mi.Float, np.array([node.angular for node in plan.nodes]))
@@ -464,7 +464,7 @@ class Table(list[NDArray[Any]]):
         # Memory, and the table's first packet in each row; by default, memory for this table alone.
         memory: NDArray[Any] | None = None,
         first: int = 0,
-    ) -> None:
+    ):
         self.packets = -(-shapes[0][-1] // _PACKET)
         self.first = first
         ends = np.cumsum([math.prod(shape[:-1]) for shape in shapes])
@@ -507,7 +507,7 @@ class Table(list[NDArray[Any]]):
 class RayCoefficients:
     """The table of a `PhaseSpace`, or another table of the same layout, on the device of the active variant."""
 
-    def __init__(self, plan: PhaseSpace, table: Table) -> None:
+    def __init__(self, plan: PhaseSpace, table: Table):
         self.plan = plan
         self.layout = plan.layout
         self._table = drjit_array(mi.Float16, table.memory)
@@ -595,7 +595,7 @@ class RayCoefficients:
 class Polynomials:
     """Coefficients of rays that land by their own points: the polynomials of a plan."""
 
-    def __init__(self, plan: Any) -> None:
+    def __init__(self, plan: Any):
         self.plan = plan
         self.layout: tuple[Any, ...] = (plan.functions.scale,)
 

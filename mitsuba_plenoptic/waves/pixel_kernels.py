@@ -41,7 +41,7 @@ class PixelKernels:
         tolerance: float,
         # Whether light that patterns lack is added to the first. Derivatives of kernels have hardly any light in sum.
         keeps_light: bool,
-    ) -> None:
+    ):
         by_place = _by_places(_sharpened(kernels, order), parts)
         responses = by_place.reshape(-1, by_place.shape[2] * by_place.shape[3])
         if parts == 1:

@@ -68,7 +68,7 @@ class PupilDiffraction:
         opening: Any = None,
         # Most cells across a pixel, beyond which rays are displaced by the point spread function.
         most_cells: int = USUAL.most_airy_cells,
-    ) -> None:
+    ):
         self.camera = camera
         self.wavelength = wavelength
         self.options: dict[str, Any] = {"fine": fine, "shortest": shortest}

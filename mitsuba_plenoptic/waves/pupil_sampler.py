@@ -30,7 +30,7 @@ class PupilSampler(DetectorGrid):
     control_factor = 1.0
     """Part of the control variate that rays subtract."""
 
-    def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1) -> None:
+    def __init__(self, camera: PlenopticCamera, plans: Sequence[PupilDiffraction], parts: int = 1):
         super().__init__(camera, parts)
         self._plan = min(plans, key=lambda plan: plan.wavelength)
         self.walk = Walk(camera, self._plan.system.lens)

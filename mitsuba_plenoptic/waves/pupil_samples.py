@@ -16,7 +16,7 @@ from .accuracy import USUAL
 class PupilSamples:
     """Transmission of a pupil, sampled over a square whose coordinates are divided by the pupil's radius."""
 
-    def __init__(self, aperture: Opening, waves: tuple[float, ...] = ()) -> None:
+    def __init__(self, aperture: Opening, waves: tuple[float, ...] = ()):
         """Take an opening, and coefficients of Noll's polynomials in waves of the light."""
         self.aperture = aperture
         # Power that passes at points of a grid that divides the samples, its means, and its integral over the square.

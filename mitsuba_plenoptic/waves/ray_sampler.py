@@ -103,7 +103,7 @@ class RaySamples(NamedTuple):
 class DetectorGrid:
     """The grid of pixels, and of their cells, from which rays are drawn."""
 
-    def __init__(self, camera: PlenopticCamera, parts: int) -> None:
+    def __init__(self, camera: PlenopticCamera, parts: int):
         self._camera = camera
         self._parts = parts
         # Width of a cell in millimetres.
@@ -163,7 +163,7 @@ class LensSampler(DetectorGrid):
         plans: Sequence[PhaseSpace],
         # Count of cells across a pixel.
         parts: int = 1,
-    ) -> None:
+    ):
         super().__init__(camera, parts)
         lens = plans[0].system.lens
         waves = plans[0].waves
@@ -397,7 +397,7 @@ def tent(value: Any) -> Any:
 class LensPoints:
     """Sampler of points around lenses, for rays with the coefficients of a plan's table."""
 
-    def __init__(self, plan: PhaseSpace) -> None:
+    def __init__(self, plan: PhaseSpace):
         self._lattice = opaque_lattice(plan.camera, mi.Float)
         self._area = dr.opaque(mi.Float, float(plan.waves.lattice.lens_area))
         self._nodes = TableNodes(plan)

@@ -85,7 +85,7 @@ class CameraSum(SignedRaySum):
     _sets = 4
     """Values for the kernels themselves, displaced along x and along y, and for all of their changes."""
 
-    def __init__(self, *arguments: Any, names: Iterable[str], **options: Any) -> None:
+    def __init__(self, *arguments: Any, names: Iterable[str], **options: Any):
         self._names = tuple(names)
         super().__init__(*arguments, **options)
         self._by_width = [RayCoefficients(node.plan, width_slopes(node.plan.start)) for node in self._nodes]
@@ -153,7 +153,7 @@ class CameraSum(SignedRaySum):
 class CameraTangents(CameraSum):
     """Directional derivative of a capture along changes of the camera's `PARAMETERS`."""
 
-    def __init__(self, *arguments: Any, changes: Values, **options: Any) -> None:
+    def __init__(self, *arguments: Any, changes: Values, **options: Any):
         self._changes = changes
         super().__init__(*arguments, names=changes, **options)
 

@@ -114,7 +114,7 @@ class RaySum:
         # The wavelengths at which diffraction is computed, and the channels that record each.
         nodes: Sequence[Node],
         seed: int,
-    ) -> None:
+    ):
         self._camera = camera
         self._light = light
         self._nodes = nodes
@@ -160,7 +160,7 @@ class SignedRaySum(RaySum):
         # lens, and each pixel two.
         spp: int,
         seed: int,
-    ) -> None:
+    ):
         super().__init__(camera, light, nodes, seed)
         self.arrays: Any = active_backend().arrays
         self._wavelengths = wavelengths

@@ -47,7 +47,7 @@ class RayWavelengths(NamedTuple):
 class WavelengthSampler:
     """Random wavelengths, stratified, with the density of the channels' responses."""
 
-    def __init__(self, table: Doubles) -> None:
+    def __init__(self, table: Doubles):
         """Take the responses, (rows, 1 + channels): each row has a wavelength in nanometres and them per nanometre."""
         responses = functools.partial(interpolated, table[:, 0], table[:, 1:].T)
         steps = np.linspace(table[0, 0], table[-1, 0], USUAL.density_steps + 1)

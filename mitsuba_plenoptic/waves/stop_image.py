@@ -119,7 +119,7 @@ class LensDiffraction(PupilDiffraction):
         shortest: float | None = None,
         # Number of the kind; the first is that of whole lenses.
         kind: int = 0,
-    ) -> None:
+    ):
         lenses = stop_lenses(camera)
         lit_part = lenses.parts[kind]
         alone = PlenopticCamera(
@@ -198,7 +198,7 @@ class StopSampler(DetectorGrid):
 
     enlargements = (1.0,)
 
-    def __init__(self, camera: PlenopticCamera, plans: Sequence[LensDiffraction], parts: int = 1) -> None:
+    def __init__(self, camera: PlenopticCamera, plans: Sequence[LensDiffraction], parts: int = 1):
         super().__init__(camera, parts)
         opaque = functools.partial(dr.opaque, mi.Float)
         self.walk = replace(

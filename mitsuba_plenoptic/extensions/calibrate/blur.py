@@ -125,7 +125,7 @@ class CutBlur:
         self,
         # The camera; its tilt and distortion change nothing that matters here.
         camera: PlenopticCamera,
-    ) -> None:
+    ):
         require_support(camera, Use.LENS_CENTRES)
         self._z = camera.detector_distance
         self._b = camera.mla_distance

@@ -30,7 +30,7 @@ _BINS = 2
 class FieldNumbers:
     """Polynomials over the field whose values are the numbers of `PupilNumbers` at a place."""
 
-    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers, zero: tuple[str, ...] = ()) -> None:
+    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers, zero: tuple[str, ...] = ()):
         """Start with the same numbers everywhere, on a picture of columns and rows, of degrees that lenses allow.
 
         Numbers named as `zero` stay so.

@@ -78,7 +78,7 @@ class MicroImageModel:
         Wavelength in nanometres for waves; None for rays.
     """
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float | None) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float | None):
         pitch = camera.micro_image_pitch / camera.pixel_size
         refuse_if(pitch < 4, f"camera: its micro-images are {pitch:.3g} pixels wide: at least 4")
         refuse_if(

@@ -127,7 +127,7 @@ class _WhiteModel:
     light falls to outer lenses: 0 for surfaces that obey Lambert's law, -1 for a thin layer of fluorescence.
     """
 
-    def __init__(self, white: Array, camera: PlenopticCamera, lens: Objective, samples: int) -> None:
+    def __init__(self, white: Array, camera: PlenopticCamera, lens: Objective, samples: int):
         self._camera, self._lens = camera, lens
         # From the native image plane to the detector.
         self.scale = camera.reduced_distance / lens.last_focal_length

@@ -179,7 +179,7 @@ class DataSet:
         Names of the arrays to read. Default: all.
     """
 
-    def __init__(self, folder: str | Path, fields: Collection[str] | None = None) -> None:
+    def __init__(self, folder: str | Path, fields: Collection[str] | None = None):
         self.folder = Path(folder)
         refuse_if(not self.folder.is_dir(), f"{folder}: there is no such folder of a data set")
         self.manifest = read_manifest(self.folder)

@@ -31,7 +31,7 @@ class TorchDataset(torch.utils.data.Dataset):
         folder: str | Path,
         # Names of the arrays to read. Default: all.
         fields: Collection[str] | None = None,
-    ) -> None:
+    ):
         self.samples = DataSet(folder, fields)
 
     def __len__(self) -> int:

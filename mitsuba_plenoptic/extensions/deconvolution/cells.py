@@ -70,7 +70,7 @@ class CellSet:
 class BinCells:
     """A camera's bins and samples, divided into cells."""
 
-    def __init__(self, grid: Grid, oversample: int) -> None:
+    def __init__(self, grid: Grid, oversample: int):
         self.grid = grid
         self.oversample = oversample
         # In the lattice frame.

@@ -136,7 +136,7 @@ class Solved:
 class _Flat(LinearMap):
     """A response whose pixels record a part of the light, each its own, 0 if left out, as bins send a part of it."""
 
-    def __init__(self, response: LinearMap, flat: Floats, bright: Any = 1) -> None:
+    def __init__(self, response: LinearMap, flat: Floats, bright: Any = 1):
         super().__init__(response.source_shape, response.image_shape)
         self._response = response
         self.flat = flat

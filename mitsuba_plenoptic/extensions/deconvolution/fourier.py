@@ -48,7 +48,7 @@ class FourierResponse(StoredResponse):
         oversample: int,
         job: Job | None = None,
         steps: float = 0.0,
-    ) -> None:
+    ):
         assert wavelength is not None
         self._detector = DetectorOperator.of(camera)
         camera = camera.replace(**SHARP)

@@ -192,7 +192,7 @@ def zones(cells: CellSet, width: int) -> list[Integers]:
 class PlaneResponse:
     """The light that the samples of all cells receive from the bins of an object plane."""
 
-    def __init__(self, cells: BinCells, sampled: CellSet, zones: Sequence[Integers], kernels: Sequence[Kernel]) -> None:
+    def __init__(self, cells: BinCells, sampled: CellSet, zones: Sequence[Integers], kernels: Sequence[Kernel]):
         self._cells = cells
         steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))

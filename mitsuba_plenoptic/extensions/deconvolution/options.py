@@ -16,9 +16,7 @@ class DeconvolvedOptions(TypedDict, total=False):
     response: Annotated[
         choices.Model | None,
         Option(
-            "how light goes through the camera.",
-            "With a `wavelength` it is ``wave``.",
-            shown="as the capture was made",
+            "how light goes through the camera.", "With a `wavelength` it is ``wave``.", shown="as the capture was made"
         ),
     ]
     iterations: Annotated[

@@ -226,7 +226,7 @@ class Response(StoredResponse):
         oversample: int,
         job: Job | None = None,
         steps: float = 0.0,
-    ) -> None:
+    ):
         job = job or Job()
         self._oversample = oversample
         # Kernels are of the light of regular lenses; displaced and dimmer ones send it elsewhere, and pixels mix it.

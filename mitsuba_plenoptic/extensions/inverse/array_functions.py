@@ -197,7 +197,7 @@ class CameraCapture:
 
     def __init__(
         self, make: Callable[[PlenopticCamera], CaptureOperator], camera: PlenopticCamera, names: Sequence[str]
-    ) -> None:
+    ):
         require_known(
             "parameters: ", names, [name for name in derivatives.DIFFERENTIABLE if name != derivatives.WAVELENGTH]
         )
@@ -297,7 +297,7 @@ class Refocused:
 class RefocusedValue:
     """Refocused captures, with their derivatives with respect to the captures."""
 
-    def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array) -> None:
+    def __init__(self, by: CoherentRefocus | DeconvolvedRefocus, captures: Array):
         def image(pixels: Array) -> Array:
             self._at = by.at(pixels)
             return self._at.image

@@ -80,9 +80,7 @@ class RayRefocus:
         Bins per lens along each axis.
     """
 
-    def __init__(
-        self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1
-    ) -> None:
+    def __init__(self, camera: PlenopticCamera, distance: float, *, footprint: str = "lens", oversample: int = 1):
         require_support(camera, Use.RAY_REFOCUSING | Use.RECONSTRUCTION_DERIVATIVES | Use.RAY_DERIVATIVES)
         camera = camera.regular
         self.camera = camera
@@ -193,7 +191,7 @@ class RefocusedImage:
 
     def __init__(
         self, refocus: CoherentRefocus | DeconvolvedRefocus, capture: Any, channel: Callable[[Array], Channel]
-    ) -> None:
+    ):
         pixels = as_channels(capture, refocus.camera.shape, "capture")
         require_pixels("capture", pixels)
         self._pixels, self._bins, self._flat = refocus.camera.shape, refocus.shape, np.ndim(capture) == 2
@@ -246,7 +244,7 @@ class CoherentRefocus:
 
     def __init__(
         self, camera: PlenopticCamera, distance: float, wavelength: float, *, interleave: int = 1, oversample: int = 1
-    ) -> None:
+    ):
         require_support(camera, Use.FIELDS | Use.FIELD_DERIVATIVES | Use.RECONSTRUCTION_DERIVATIVES)
         wavelength = require_wavelength(wavelength)
         camera = camera.regular
@@ -347,7 +345,7 @@ class CoherentRefocus:
 class _CoherentChannel:
     """The bins of one channel: from positive pixels, minus those from negative ones, divided by the light of white."""
 
-    def __init__(self, refocus: CoherentRefocus, image: Floats) -> None:
+    def __init__(self, refocus: CoherentRefocus, image: Floats):
         self._factor, self._weak = refocus._factor, refocus._weak
         self._parts = [(sign, _BinnedPower(refocus, signed, checked=sign > 0)) for sign, signed in signed_parts(image)]
         self.bins = self._factor * self._weak.shared(np.asarray(sum(sign * part.bins for sign, part in self._parts)))
@@ -370,7 +368,7 @@ class _BinnedPower:
     over the bin. The square root has no derivative at zero pixels; 0 is used.
     """
 
-    def __init__(self, refocus: CoherentRefocus, image: Floats, *, checked: bool) -> None:
+    def __init__(self, refocus: CoherentRefocus, image: Floats, *, checked: bool):
         self._refocus, amplitude = refocus, np.sqrt(image)
         self._slope = np.divide(0.5, amplitude, out=np.zeros_like(amplitude), where=amplitude > 0)
         self._sums = BinSums(refocus._step, refocus.camera, refocus._wavelength, refocus._oversample)
@@ -442,7 +440,7 @@ class DeconvolvedRefocus:
         *,
         iterations: int = DEFAULT_ITERATIONS,
         oversample: int = 1,
-    ) -> None:
+    ):
         require_support(camera, Use.RESPONSES | Use.RECONSTRUCTION_DERIVATIVES)
         self.camera, self.iterations = camera, require_count("iterations", iterations)
         distance = require_number("distance", distance, finite=False)
@@ -500,7 +498,7 @@ class _Made:
 class _RecordedSteps(RichardsonLucy):
     """The steps of Richardson and Lucy, which keep what their derivatives need."""
 
-    def __init__(self, response: LinearMap, image: Floats) -> None:
+    def __init__(self, response: LinearMap, image: Floats):
         super().__init__(response, image)
         self.made: list[_Made] = []
 
@@ -513,7 +511,7 @@ class _RecordedSteps(RichardsonLucy):
 class _DeconvolvedChannel:
     """The steps of deconvolving one channel, and their derivatives."""
 
-    def __init__(self, refocus: DeconvolvedRefocus, image: Floats) -> None:
+    def __init__(self, refocus: DeconvolvedRefocus, image: Floats):
         self._response = refocus.response
         self._visible = refocus.visible
         self._image = image

@@ -18,7 +18,7 @@ Gradient = dict[str, Doubles]
 class Spreads:
     """The point spreads of a figure of merit's points, each computed by itself."""
 
-    def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str) -> None:
+    def __init__(self, points: Any, wavelength: float, accuracy: float | None, method: str):
         # Where they may lie depends on the camera, and is checked with it.
         self.points, self.wavelength = check_positions(points, virtual=True), require_wavelength(wavelength)
         # 0.02: Default error allowed for the point spreads: designs differ by more.
@@ -90,7 +90,7 @@ class RefocusedContrast:
         oversample: int = 4,
         accuracy: float | None = None,
         method: str = "patch",
-    ) -> None:
+    ):
         self._camera, self._spreads = camera, Spreads(points, wavelength, accuracy, method)
         count = require_count("oversample", oversample)
         checked = [require_number("frequencies", frequency, positive=True) for frequency in frequencies]
@@ -204,7 +204,7 @@ class DepthInformation:
         wavelength: float = 633.0,
         accuracy: float | None = None,
         method: str = "patch",
-    ) -> None:
+    ):
         self._spreads = Spreads(points, wavelength, accuracy, method)
         self._photons = require_number("photons", photons, positive=True)
         self._background = require_number("background", background, positive=True)

@@ -53,7 +53,7 @@ class WaveModel:
         wavelength: float,
         # Tolerance as in `CaptureOperator`.
         accuracy: float,
-    ) -> None:
+    ):
         self._camera = camera
         self._views = views
         self._system = OpticalSystem(camera.at_wavelength(wavelength), wavelength)
@@ -109,7 +109,7 @@ class PointRays:
         wavelength: float,
         # Relative power over the pupil.
         pupil_weights: PupilWeights | None = None,
-    ) -> None:
+    ):
         require_support(camera, Use.POINT_RAYS)
         points = check_positions(points, camera, virtual=True)
         self._points = points
@@ -276,7 +276,7 @@ def check_numbers(vector: CameraVector) -> None:
 class RayModels:
     """Ray models of cameras near one camera, for which the counts of rays are planned."""
 
-    def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float) -> None:
+    def __init__(self, camera: PlenopticCamera, views: Sequence[View], wavelength: float):
         self._views = views
         self._wavelength = wavelength
         self._rays = [

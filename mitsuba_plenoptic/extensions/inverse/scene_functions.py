@@ -34,7 +34,7 @@ class Rendering:
         Seed of the samples.
     """
 
-    def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int) -> None:
+    def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int):
         # Each variant has a class of its own.
         refuse_if(not hasattr(scene, "sensors"), f"scene = {short_repr(scene)}: it must be a scene of Mitsuba")
         self._scene, self._integrator, self.parameters = scene, integrator or scene.integrator(), mi.traverse(scene)
@@ -127,7 +127,7 @@ class RenderedValue:
     """
 
     @one_at_a_time
-    def __init__(self, rendering: Rendering, given: Sequence[Any]) -> None:
+    def __init__(self, rendering: Rendering, given: Sequence[Any]):
         self._rendering, self._typed = rendering, rendering.typed(given)
         self._shapes = [np.shape(each) for each in given]
         rendering.require_variant()

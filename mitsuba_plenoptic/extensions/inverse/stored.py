@@ -51,7 +51,7 @@ class StoredOperator(CaptureOperator):
 
     def __init__(
         self, camera: PlenopticCamera, points: Any, *, budget: float = 1.0, dtype: Any = "float32", **options: Any
-    ) -> None:
+    ):
         super().__init__(camera, points, **options)
         self._budget = require_number("budget", budget, positive=True)
         refuse_if(dtype not in ("float32", "float64"), f"dtype = {dtype!r}: it must be float32 or float64")

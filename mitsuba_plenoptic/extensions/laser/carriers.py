@@ -38,7 +38,7 @@ _FADED = 0.3
 class PupilGrid:
     """The square part of a wide grid, `count` x `count` samples, that contains the pupil."""
 
-    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float) -> None:
+    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float):
         self.pitch = pitch
         self.count = 2 * math.ceil(lens.pupil.radius / pitch) + 3
         middle = [round(-start / pitch) for start in origin]
@@ -75,7 +75,7 @@ class Carrier(Protocol):
 class Tilts:
     """Plane waves relative to the path of the middle of a layer's points (n, 3)."""
 
-    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid) -> None:
+    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid):
         self._lens = lens
         self._wavelength = wavelength
         vergence = 1 / points[:, 2]
@@ -112,7 +112,7 @@ class Tilts:
 class Spheres:
     """Spherical waves towards the images of points (n, 3) by an ideal lens, with the images moved into one plane."""
 
-    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid) -> None:
+    def __init__(self, lens: ThinLens, wavelength: float, points: Doubles, grid: PupilGrid):
         self._lens = lens
         self._wavelength = wavelength
         self._grid = grid

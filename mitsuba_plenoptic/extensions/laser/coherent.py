@@ -29,7 +29,7 @@ class CoherentFields:
     The phase of a point's amplitude is the phase of the point's field at the centre of the pupil.
     """
 
-    def __init__(self, system: OpticalSystem, points: Doubles) -> None:
+    def __init__(self, system: OpticalSystem, points: Doubles):
         refuse_if(not len(points), "points: coherent fields need at least one")
         lens: Any = system.waves_of(points)
         self.system = system

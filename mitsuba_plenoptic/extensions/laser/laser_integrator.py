@@ -92,7 +92,7 @@ def make_class() -> type:
 
         plugin = NAME
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: Any):
             super().__init__(props)
             ids = properties.read_plain(props, "lasers", "")
             refuse_if(

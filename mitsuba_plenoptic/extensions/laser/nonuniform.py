@@ -38,7 +38,7 @@ class PlaneWaves:
     Sums are computed by the active variant's libraries, on whose device their samples and amplitudes are.
     """
 
-    def __init__(self, frequencies: Doubles, count: int) -> None:
+    def __init__(self, frequencies: Doubles, count: int):
         libraries = active_backend()
         self.count = count
         self._length = length(count)

@@ -55,7 +55,7 @@ _SPOKES = 24
 class Layer:
     """Points (n, 3) of similar distance, each with unit power through the pupil, on the samples of a grid."""
 
-    def __init__(self, system: OpticalSystem, lens: ThinLens, points: Doubles, grid: PupilGrid) -> None:
+    def __init__(self, system: OpticalSystem, lens: ThinLens, points: Doubles, grid: PupilGrid):
         self._lens = lens
         self._wavelength = system.wavelength
         self._grid = grid

@@ -125,7 +125,7 @@ class _Realisations:
     channels = 1
     arrays: Any = np
 
-    def __init__(self, fields: CoherentFields, moduli: Doubles, count: int, seed: int) -> None:
+    def __init__(self, fields: CoherentFields, moduli: Doubles, count: int, seed: int):
         self._fields = fields
         self._moduli = moduli
         self._seed = seed

@@ -79,7 +79,7 @@ class _CodevReader(DesignReader):
     aperture_keyword = "CIR"
     at_ends = True
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path):
         super().__init__(path)
         self.radii: bool | None = None
         self.primary = 0

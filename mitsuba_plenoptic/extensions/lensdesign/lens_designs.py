@@ -135,7 +135,7 @@ class DesignReader:
     # Whether the format leaves out apertures of the first and the last surface, too.
     at_ends: bool
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path):
         self.path = path
         self.name = ""
         self.unit: float | None = None

@@ -70,7 +70,7 @@ class _ZemaxReader(DesignReader):
     aperture_keyword = "DIAM"
     at_ends = False
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path):
         super().__init__(path)
         self.makers: list[str] = []
         # In micrometres, by their numbers.

@@ -18,7 +18,7 @@ from .photodiode_response import PhotodiodeResponse
 class PhotodiodeTable:
     """A table of responses, linear between its angles and wavelengths, for the colours of the active variant."""
 
-    def __init__(self, response: PhotodiodeResponse) -> None:
+    def __init__(self, response: PhotodiodeResponse):
         self._axes = [[math.radians(angle) for angle in angles] for angles in (response.angles_y, response.angles_x)]
         self._wavelengths = response.wavelengths
         table = response.of_pixels

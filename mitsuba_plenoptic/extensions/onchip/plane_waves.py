@@ -112,7 +112,7 @@ class PlaneWaveResponses:
 
     lands_by_point = False
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False):
         """Plan tables of direction cosines, whose steps are smaller if `fine`."""
         self.camera = camera
         self.wavelength = wavelength

@@ -34,7 +34,7 @@ class Aimed(NamedTuple):
 class Tables:
     """The response tables of all wavelengths on the device of the active variant."""
 
-    def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]) -> None:
+    def __init__(self, camera: PlenopticCamera, plans: Sequence[PhotodiodeResponses]):
         self.camera = camera
         self.plans = plans
         self.count = plans[0].count

@@ -85,7 +85,7 @@ class ResponseTable(NamedTuple):
 class PhotodiodeResponses(PlaneWaveResponses):
     """The responses of the photodiodes of one lens to rays, at one wavelength in all zones."""
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float, *, fine: bool = False):
         super().__init__(camera, wavelength, fine=fine)
         # Samples across a window over those that its highest frequency requires.
         oversampling = 1.4
@@ -243,7 +243,7 @@ class PhotodiodeResponses(PlaneWaveResponses):
 class _Pupil:
     """The pupil as seen from a lens, sampled in direction cosines."""
 
-    def __init__(self, plan: PlaneWaveResponses, x: float, y: float, multiple: int) -> None:
+    def __init__(self, plan: PlaneWaveResponses, x: float, y: float, multiple: int):
         """Take a lens's lattice indices, and the number of which samples per step of direction are a multiple."""
         n = 2 * plan.across + 1
         # 4: Least count of samples of the pupil per step of the table.

@@ -82,7 +82,7 @@ class ResponseSum(RaySum):
         # Rays per pixel as in a ray capture, of which only those that pass the pupil are drawn.
         spp: int,
         seed: int,
-    ) -> None:
+    ):
         super().__init__(camera, light, nodes, seed)
         self._tables = Tables(camera, [node.plan for node in nodes])
         self._across = across = self._tables.count

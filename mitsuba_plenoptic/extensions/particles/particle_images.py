@@ -85,7 +85,7 @@ class ParticleImages:
         model: str = "wave",
         camera: PlenopticCamera | None = None,
         accuracy: float | None = None,
-    ) -> None:
+    ):
         self.truth = truth
         self.model = require_choice("model", model, choices.MODELS)
         self.wavelength = require_wavelength(wavelength)

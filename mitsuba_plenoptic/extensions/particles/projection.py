@@ -67,7 +67,7 @@ class VoxelProjector(LinearMap):
         per_lens: int = 4,
         accuracy: float = 0.1,
         budget: float | None = None,
-    ) -> None:
+    ):
         require_support(camera, Use.POINTS)
         wavelength = require_wavelength(wavelength)
         per_lens = require_count("per_lens", per_lens, maximum=32)
@@ -129,7 +129,7 @@ class RayProjector(LinearMap):
         window: Window | None = None,
         budget: float = 4.0,
         progress: Progress | None = None,
-    ) -> None:
+    ):
         require_support(camera, Use.POINT_RAYS)
         wavelength = require_wavelength(wavelength)
         budget = require_number("budget", budget, positive=True)

@@ -163,7 +163,7 @@ class ArrayPart:
         row, and pixels of a cell beyond these. Half a pitch is whole pixels, too, where rows are shifted by it.
     """
 
-    def __init__(self, model: CameraModel, pixels: PartPixels) -> None:
+    def __init__(self, model: CameraModel, pixels: PartPixels):
         self.model = model
         self.pixels = pixels
         self.lenses = pixels.lenses

@@ -24,7 +24,7 @@ class SceneProjection(LinearMap):
     `reach` have elements, too, as their light falls into the part.
     """
 
-    def __init__(self, part: ArrayPart, planes: Sequence[Plane]) -> None:
+    def __init__(self, part: ArrayPart, planes: Sequence[Plane]):
         self.part = part
         # Planes with the widest blur come first: a lens far away sees the first planes only.
         self.planes = sorted(planes, key=lambda plane: -plane.pictures.shape[0])

@@ -32,7 +32,7 @@ class SceneFit:
 class _Near:
     """Mean of elements nearby, over those that are seen."""
 
-    def __init__(self, projector: SceneProjection, seen: Array) -> None:
+    def __init__(self, projector: SceneProjection, seen: Array):
         self._projector = projector
         self._seen = seen
         self._whole = np.maximum(self._blurred(seen.astype(np.float32)), 1e-6)
@@ -52,7 +52,7 @@ class _PriorSteps(Steps):
 
     def __init__(
         self, projector: SceneProjection, electrons: Array, mask: Array, dark_variance: float, strength: float
-    ) -> None:
+    ):
         self.operator = projector
         self.image = electrons
         self.stray = 0.0

@@ -154,7 +154,7 @@ class Study:
         box: tuple[float, float, float, float],
         planes: Sequence[float],
         stages: Cache,
-    ) -> None:
+    ):
         require_support(camera, Use.POINTS | Use.RAY_SPREADS | Use.ROUND_PUPILS)
         require_wavelength(wavelength)
         objective = camera.objective

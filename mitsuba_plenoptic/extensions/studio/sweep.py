@@ -86,7 +86,7 @@ def _number(name: str, value: Any) -> float:
 class Points:
     """The points of a grid, each with a capture and its reconstructions."""
 
-    def __init__(self, spec: CaptureSpec, grid: Grid, method: str, store: Cache) -> None:
+    def __init__(self, spec: CaptureSpec, grid: Grid, method: str, store: Cache):
         self._spec = spec
         self._method = method
         self._store = store
@@ -217,9 +217,7 @@ class SweepFile:
     Its images are as large as the largest; what smaller ones leave of them is not a number.
     """
 
-    def __init__(
-        self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: tuple[int, ...]
-    ) -> None:
+    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: tuple[int, ...]):
         self.variables = file.variables
         self._grid = grid
         axes = [name for name in grid if name != DISTANCE]

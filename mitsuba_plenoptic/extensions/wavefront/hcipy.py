@@ -45,7 +45,7 @@ class CameraOptics(hcipy.OpticalElement):
         Centres of the recorded pixels in metres.
     """
 
-    def __init__(self, camera: PlenopticCamera) -> None:
+    def __init__(self, camera: PlenopticCamera):
         require_support(require_camera(camera), Use.WAVEFRONTS)
         self.camera = camera
         left, top = (float(camera.pixel_coordinates(axis)[0]) for axis in (0, 1))

@@ -139,7 +139,7 @@ def light_slopes(system: OpticalSystem, names: Iterable[str], points: Doubles) -
 class VaryingParameters:
     """A camera's parameters and the wavelength as Dr.Jit arrays; the parameters in `names` carry gradients."""
 
-    def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]) -> None:
+    def __init__(self, camera: PlenopticCamera, wavelength: float, names: Iterable[str]):
         self.types = array_module().ad
         self._parameters = {}
         self._varies = set(names)

@@ -64,9 +64,7 @@ class DerivativePlan(PatchPlan):
     that would be aliased change fastest; in sums of many points they average out.
     """
 
-    def __init__(
-        self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float
-    ) -> None:
+    def __init__(self, system: OpticalSystem, points: Doubles, pupil_weights: PupilWeights | None, accuracy: float):
         # Behind a real lens the changes of copies differ from each other.
         shared = system.lens.is_uniform and derivatives_share(accuracy, len(points))
         band = derivative_band_for(accuracy, len(points))
@@ -193,7 +191,7 @@ class DerivativePlan(PatchPlan):
 class JvpSum:
     """Changes of a sum in several directions, batch by batch, with the interface of `runtime.batches.LongSum`."""
 
-    def __init__(self, plan: DerivativePlan, weights: Doubles, directions: list[Direction]) -> None:
+    def __init__(self, plan: DerivativePlan, weights: Doubles, directions: list[Direction]):
         self._plan = plan
         self._weights = weights
         self._directions = directions
@@ -252,7 +250,7 @@ class JvpSum:
 class Differentials:
     """Derivatives of the sum of all point spreads, planned for each wavelength on first use."""
 
-    def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans) -> None:
+    def __init__(self, camera: PlenopticCamera, points: int, plans: WavelengthPlans):
         self._camera = camera
         self._points = points
         self._plans = plans

@@ -12,18 +12,7 @@ import drjit as dr
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...runtime import (
-    Box,
-    Doubles,
-    Flags,
-    Floats,
-    Part,
-    active_backend,
-    array_module,
-    drjit_array,
-    fft,
-    turn,
-)
+from ...runtime import Box, Doubles, Flags, Floats, Part, active_backend, array_module, drjit_array, fft, turn
 from ..patch import FieldChain, Memory, Parts, PatchBatch
 from ..patch_factors import Fields, PatchFactors
 from ..tile import Copies, FieldBatch, reached
