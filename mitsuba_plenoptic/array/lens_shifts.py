@@ -109,7 +109,7 @@ class Displacement:
         """Largest irregular displacement in millimetres."""
         return math.sqrt(2) * MOST_DEVIATIONS * self.deviation
 
-    def most_smooth(self, low: Corner, high: Corner) -> tuple[float, float]:
+    def most_smooth(self, low: Corner, high: Corner) -> Pair:
         """Return the largest smooth displacement in a rectangle, in mm, and the largest change of one per mm."""
         x, y = np.meshgrid(*(np.linspace(*ends, _ALONG) for ends in zip(low, high, strict=True)))
         moved = np.array(self._moved(x, y))

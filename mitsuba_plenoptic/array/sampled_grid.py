@@ -117,7 +117,7 @@ class SampledGrid:
         self._step = width / (samples.shape[1] - 1)
 
     @property
-    def reach(self) -> tuple[float, float]:
+    def reach(self) -> Pair:
         """Offsets in mm of the outermost samples along x and y."""
         rows, columns = self._samples.shape
         return (columns - 1) * self._step / 2, (rows - 1) * self._step / 2

@@ -139,7 +139,7 @@ def converging(
     return Element.separated(step, phase, (x * (b + z) / b, y * (b + z) / b))
 
 
-def _centre(camera: PlenopticCamera, index: Shape) -> tuple[float, float]:
+def _centre(camera: PlenopticCamera, index: Shape) -> Pair:
     """Return the centre of a lens."""
     x, y = camera.lattice.centre(*map(float, index))
     return float(x), float(y)

@@ -61,7 +61,7 @@ class FieldGrids:
     margin: int  # pixels between the window's edge and the first recorded pixel
 
     @property
-    def origin(self) -> tuple[float, float]:
+    def origin(self) -> Pair:
         """Camera-frame x and y of the first sample of the detector's window."""
         left, top = (start + index * self.pitch for start, index in zip(self.wide_origin, self.offset, strict=True))
         return left, top

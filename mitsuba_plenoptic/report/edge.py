@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from ..errors import refuse_if, refusing
-from ..runtime import Doubles, as_array
+from ..runtime import Doubles, Pair, as_array
 
 _REACH = 16
 """Pixels on each side of an edge, at most, that are looked at."""
@@ -179,7 +179,7 @@ def window_sharpness(image: Doubles) -> EdgeSharpness:
     return _across(image, line, tilt, 0, reach, _KNOTS * min(1.0, max(rows * abs(tilt), 1 / _KNOTS)))
 
 
-def square_sharpness(image: Doubles, row: float, column: float, side: float) -> tuple[float, float]:
+def square_sharpness(image: Doubles, row: float, column: float, side: float) -> Pair:
     """Return width and mtf50 of a slightly turned bright square on dark ground: the medians of its four edges.
 
     The median is used because another object may lie near one of the edges.
@@ -217,7 +217,7 @@ def _across(
     )
 
 
-def _line(image: Doubles, slope: Doubles, down: Doubles, across: Doubles, extent: float) -> tuple[float, float]:
+def _line(image: Doubles, slope: Doubles, down: Doubles, across: Doubles, extent: float) -> Pair:
     """Return slope and start of the line column = start + slope * row along the strongest edge."""
     rows, columns = np.indices(image.shape)
     down_over_across = np.divide(down, across, out=np.full_like(across, np.inf), where=across != 0)
@@ -234,7 +234,7 @@ def _line(image: Doubles, slope: Doubles, down: Doubles, across: Doubles, extent
     return _closed_in(slope, tilt, start, np.array((6.0, 5.0, 4.0, 4.0)) * extent / _LEAST_REACH)
 
 
-def _closed_in(slope: Doubles, tilt: float, start: float, reaches: Doubles) -> tuple[float, float]:
+def _closed_in(slope: Doubles, tilt: float, start: float, reaches: Doubles) -> Pair:
     """Return the line fitted to the middle of the slope in each row, each time within a reach of the line before."""
     rows, columns = np.indices(slope.shape)
     for reach in reaches:

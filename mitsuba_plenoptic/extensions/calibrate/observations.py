@@ -20,7 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, naming, put_checked, refuse_if, refusing, require_count, require_number
-from ...runtime import atomic_output, read_text
+from ...runtime import Shape, atomic_output, read_text
 from ..raw.lftoolbox import grid_of_model
 from .adjustment import both_axes, robust_lines
 from .board_model import Observations
@@ -86,7 +86,7 @@ class LensIndex:
 
     odd_rows: float
     row_sign: int
-    first: tuple[int, int]
+    first: Shape
 
     def unit(self, k: np.ndarray, l: np.ndarray) -> np.ndarray:  # noqa: E741
         """Return positions (n, 2) of lenses from lens (0, 0): in pitches along the rows, and in rows across them."""
@@ -169,7 +169,7 @@ def _checked(path: Path, columns: dict[str, np.ndarray], header: int) -> Table:
     )
 
 
-def read_corners(path: str | Path, board: Board, size: tuple[int, int]) -> Table:
+def read_corners(path: str | Path, board: Board, size: Shape) -> Table:
     """Return the corners of a board on a detector of a given size, read from a CSV file.
 
     Parameters
@@ -202,7 +202,7 @@ def read_centres(path: str | Path) -> Table:
     return read_table(path, CENTRE_COLUMNS, (DOUBTFUL_COLUMN,))
 
 
-def require_on_detector(table: Table, size: tuple[int, int]) -> None:
+def require_on_detector(table: Table, size: Shape) -> None:
     """Refuse a table whose positions lie outside the detector."""
     off = np.flatnonzero(((table.pixel < -0.5) | (table.pixel > np.array(size) - 0.5)).any(1))
     if off.size > 0.1 * len(table.pixel):

@@ -18,7 +18,6 @@ from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...prescription import Objective
 from ...runtime import Array, Doubles
 from .white_fit import of_size
 
@@ -74,8 +73,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     """
     refuse_if(not np.ptp(white) > 0, "white: all of its pixels are alike")
     camera = of_size(camera, white.shape[::-1])
-    lens = camera.objective
-    assert lens is not None
+    lens: Any = camera.objective
     refuse_if(lens.field_stop is None, "main_lens: the white picture is of no field_stop, which ends micro-images")
     coarse, model = (_WhiteModel(white, camera, lens, samples) for samples in (_COARSE, _FINE))
     likeliest = min((coarse.fitted(start, 20) for start in coarse.starts()[:3]), key=lambda fit: fit.cost)
@@ -127,7 +125,7 @@ class _WhiteModel:
     light falls to outer lenses: 0 for surfaces that obey Lambert's law, -1 for a thin layer of fluorescence.
     """
 
-    def __init__(self, white: Array, camera: PlenopticCamera, lens: Objective, samples: int):
+    def __init__(self, white: Array, camera: PlenopticCamera, lens: Any, samples: int):
         self._camera, self._lens = camera, lens
         # From the native image plane to the detector.
         self.scale = camera.reduced_distance / lens.last_focal_length

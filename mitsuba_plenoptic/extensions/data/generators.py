@@ -18,7 +18,7 @@ from ...design import depth_ranges
 from ...errors import naming, put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
-from ...runtime import Array, drjit_array
+from ...runtime import Array, Named, drjit_array
 
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
@@ -28,7 +28,7 @@ _BRIGHTEST = 0.95
 """Bounds of a reflectance."""
 
 
-def random_diffuse(random: np.random.Generator, plain: float, width: float) -> dict[str, Any]:
+def random_diffuse(random: np.random.Generator, plain: float, width: float) -> Named:
     """Return a diffuse surface with a random texture, as a dictionary for ``mi.load_dict``.
 
     The texture is band-limited noise or a checkerboard; in variants of three channels it mixes two random colours.
@@ -75,7 +75,7 @@ class Illumination:
             put_checked(self, sky=light, lamp=light)
         refuse_if(self.sky == self.lamp == 0, "light: sky = 0 and lamp = 0: scenes would be dark")
 
-    def emitters(self, random: np.random.Generator, distance: float) -> dict[str, Any]:
+    def emitters(self, random: np.random.Generator, distance: float) -> Named:
         """Return the lights for ``mi.load_dict``; the lamp stands at random beside or above the camera."""
         angle = random.uniform(0, 2 * math.pi)
         position = 0.5 * distance * np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -89,7 +89,7 @@ class Illumination:
 class SceneGenerator(Protocol):
     """Generator of random scenes before a camera."""
 
-    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> Named:
         """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
 
 
@@ -165,7 +165,7 @@ class Shapes:
         )
         return float(near), float(far)
 
-    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> dict[str, Any]:
+    def scene(self, camera: PlenopticCamera, light: Illumination, random: np.random.Generator) -> Named:
         """Return a scene without a sensor, for ``mi.load_dict``; the camera is at the origin and looks along +z."""
         near, far = self.between(camera)
         extent = np.array([camera.detector_width, camera.detector_height])
@@ -193,7 +193,7 @@ class Shapes:
         plain: float,
         lens: float,
         random: np.random.Generator,
-    ) -> dict[str, Any]:
+    ) -> Named:
         """Return one shape for ``mi.load_dict``; `lens` is the tangent of the angle between neighbouring lenses."""
         size = float(size)
         towards = mi.ScalarTransform4f().translate(position.tolist())

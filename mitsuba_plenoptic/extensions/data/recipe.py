@@ -25,7 +25,7 @@ from ...errors import (
 )
 from ...io import require_quantities
 from ...presets import PRESETS
-from ...runtime import DEFAULT_VARIANT, read_yaml
+from ...runtime import DEFAULT_VARIANT, Named, read_yaml
 from ...scene import MOST_SAMPLES, UNITS
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
@@ -275,7 +275,7 @@ def _source(index: int, entry: Any, folder: Path) -> Source:
     return Source(None, str(path.resolve()), share, parsed, unit)
 
 
-def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> Named:
     """Return the parsed values of a section of a recipe; refuse unknown names."""
     section = _values_by_name(name, content.get(name, {}))
     require_known(f"{name}: ", section, names)
@@ -360,7 +360,7 @@ def parse(name: str, value: Any) -> Any:
     return Between(low, high, log, step)
 
 
-def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> dict[str, Any]:
+def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> Named:
     """Return values drawn at random for one sample, by their names in a section."""
     return {
         name: value.draw(generator(seed, index, f"{prefix}.{name}")) if isinstance(value, (Between, OneOf)) else value

@@ -10,7 +10,7 @@ from ...capture_spec import CaptureSpec
 from ...detector import expose
 from ...io import Capture, GroundTruth, versions
 from ...plugins.other_camera import with_camera
-from ...runtime import Array, Progress, set_variant
+from ...runtime import Array, Named, Progress, set_variant
 from ...scene import load_scene, render_capture
 from ...views import ground_truth
 from .dual_samples import pictures_of, truth_of_lenses
@@ -44,7 +44,7 @@ class Sample:
 
     index: int
     arrays: dict[str, Array]
-    facts: dict[str, Any]
+    facts: Named
 
     @property
     def camera(self) -> PlenopticCamera:
@@ -150,7 +150,7 @@ def make_sample(recipe: Recipe, index: int, progress: Progress | None = None) ->
     if recipe.photodiodes:
         arrays |= truth_of_lenses(scene, plan.options[recipe.models[0]]["spp"], seed("sharp"))
     truth = ground_truth(scene, recipe.truth) if recipe.truth else None
-    facts: dict[str, Any] = {
+    facts: Named = {
         "camera": plan.camera.to_dict(),
         "scene": kind,
         "draws": dict(plan.draws),

@@ -18,7 +18,17 @@ import numpy as np
 from ...capture_spec import scene_fingerprint
 from ...errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_number, short_repr
 from ...io import differences, versions, write_json
-from ...runtime import Sink, atomic_output, h5py_module, read_text, require_file, require_memory, software, stored_array
+from ...runtime import (
+    Named,
+    Sink,
+    atomic_output,
+    h5py_module,
+    read_text,
+    require_file,
+    require_memory,
+    software,
+    stored_array,
+)
 from .recipe import Recipe
 from .sample import Sample
 
@@ -56,7 +66,7 @@ class DataFolder:
         return self.folder / "samples" / f"{index:06d}.h5"
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> Named:
     """Return the recipe that made a data set, read from its manifest."""
     path = folder / MANIFEST
     text = read_text(path, 2**27)
@@ -74,7 +84,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 def claim(folder: Path, recipe: Recipe) -> DataFolder:
     """Return the folder of a data set after writing its manifest; refuse a folder of another recipe or software."""
 
-    def fixed(record: dict[str, Any]) -> dict[str, Any]:
+    def fixed(record: Named) -> Named:
         # Entries of a recipe that may differ: the count may grow, and the name, which is that of the file, changes no
         # bits.
         entries = {name: value for name, value in record["recipe"].items() if name not in {"count", "name"}}
@@ -220,7 +230,7 @@ class DataSet:
         for index in range(len(self)):
             yield self[index]
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> Named:
         return {**self.__dict__, "_files": {}}
 
     def _open(self, shard: int) -> Any:

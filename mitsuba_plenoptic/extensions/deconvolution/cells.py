@@ -23,7 +23,7 @@ from scipy.sparse import csr_array, vstack
 from ...camera import PlenopticCamera
 from ...lenses import FittedLens
 from ...points import Grid
-from ...runtime import Box, Doubles, Integers, backend_of, turn
+from ...runtime import Box, Doubles, Integers, Shape, backend_of, turn
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ class UprightBins:
     has of each bin of cells: its transpose brings radiance to cells, and the matrix itself brings responses to bins.
     """
 
-    first: tuple[int, int]
-    shape: tuple[int, int]
+    first: Shape
+    shape: Shape
     share: csr_array
 
     @classmethod

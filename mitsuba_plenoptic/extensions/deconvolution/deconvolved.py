@@ -17,7 +17,7 @@ from ...errors import argument, refuse_if, refusing, require_number
 from ...io import digest
 from ...linear import LinearMap, PixelNoise, RichardsonLucy, SolverState, StopRule, misfit, relative_residual, solve
 from ...refocus import Found, Task, method, portion, work_of
-from ...runtime import Floats, Job
+from ...runtime import Floats, Job, Named
 from .fourier import FourierResponse, response_of
 from .response import Response
 from .variation import TotalVariation
@@ -111,7 +111,7 @@ def refocus(task: Task, **options: Any) -> list[Found]:
     ]
 
 
-def noise_of(exposure: dict[str, Any] | None, photons: float | None) -> PixelNoise | None:
+def noise_of(exposure: Named | None, photons: float | None) -> PixelNoise | None:
     """Return the noise for `photons`, if given, otherwise for the exposure that `expose` recorded."""
     if photons is not None:
         return PixelNoise(require_number("photons", photons, positive=True))
@@ -185,7 +185,7 @@ def _solve(
     task: Task,
     response: Response | FourierResponse,
     channel: int,
-    options: dict[str, Any],
+    options: Named,
     most: int,
     noise: PixelNoise | None,
     solved: Sequence[Solved],
@@ -234,7 +234,7 @@ def _solve(
         yield Solved(visible, solution.iterations, residual, bool(solution.stopped))
 
 
-def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> dict[str, Any]:
+def _facts(task: Task, distance: float, of_plane: Sequence[Solved]) -> Named:
     """Return the facts about a plane that results state."""
     wavelengths: Sequence[float | None] = task.wavelengths or [None]
     limits = [resolution_limit(task.camera, distance, wavelength) for wavelength in wavelengths]

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...design import objective_of
 from ...detector import SHARP, DetectorOperator
 from ...errors import warn
 from ...fields import OpticalSystem
@@ -62,7 +61,7 @@ class FourierResponse(StoredResponse):
         self._size = tuple(fft.fast_length(float(length)) for length in reversed(lengths))
         self._store(len(distances) > 1 and self._spectra_memory(oversample) > _MEMORY)
         deepest = max(abs(distance) for distance in distances)
-        lens = objective_of(camera)
+        lens: Any = camera.objective
         cut = lens.magnification * deepest * math.tan(lens.half_angle)
         if lens.field_stop is not None and cut > lens.field_stop / 2:
             warn(

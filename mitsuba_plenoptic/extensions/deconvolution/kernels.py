@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...linear import LinearMap
-from ...runtime import Box, Floats, Integers, Part, active_backend, backend_of, on_all_cores, require_memory_for
+from ...runtime import Box, Floats, Integers, Part, Shape, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
 
@@ -46,7 +46,7 @@ class StoredResponse(LinearMap):
     """
 
     # Rows and columns of the bins of each plane, and those of a reconstruction among them, upright.
-    shapes: list[tuple[int, int]]
+    shapes: list[Shape]
     _windows: Sequence[tuple[slice, slice]]
     # Light of bins of radiance 1 if the pupil changes, and steps are to keep it.
     light: Floats | None = None
@@ -210,7 +210,7 @@ class PlaneResponse:
         ]
 
     @property
-    def shape(self) -> tuple[int, int]:
+    def shape(self) -> Shape:
         """Number of cells, and of bins in each."""
         return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
 

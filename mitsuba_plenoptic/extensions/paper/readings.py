@@ -17,7 +17,7 @@ from ...io import Cache, Capture
 from ...rays import follow_back
 from ...refocus import reconstruct
 from ...report import Experiment, metrics
-from ...runtime import Array, Progress
+from ...runtime import Array, Named, Progress
 from ...views import capture_white, lenses_of_pixels
 
 
@@ -35,7 +35,7 @@ def diagonals(i: Array, j: Array) -> Array:
     return (i + j) % 4
 
 
-def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) -> list[dict[str, Any]]:
+def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) -> list[Named]:
     """Return the interference in images of the shapes `near` and `far`, each refocused to the distance of the other.
 
     Each row has the interference with four subsets, the quarters of the array or the diagonals; the number of subsets
@@ -45,13 +45,13 @@ def measure_readings(experiment: Experiment, store: Cache, near: str, far: str) 
     first, *_, last = experiment.settings.distances
     blurred = [(near, last), (far, first)]
 
-    def measure(progress: Progress) -> dict[str, Any]:
+    def measure(progress: Progress) -> Named:
         return {"rows": [_row(experiment, shape, distance) for shape, distance in blurred]}
 
     return list(store.facts("readings", {"capture": experiment.wave_key, "blurred": blurred}, measure)["rows"])
 
 
-def _row(experiment: Experiment, shape: str, distance: float) -> dict[str, Any]:
+def _row(experiment: Experiment, shape: str, distance: float) -> Named:
     window = metrics.shape_window(experiment.camera, *experiment.boxes[shape])
     if window is None:
         raise InputError(f"{shape}: it is not in the camera's view")

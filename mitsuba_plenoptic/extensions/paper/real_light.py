@@ -31,7 +31,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import Doubles, Floats, software
+from ...runtime import Doubles, Floats, Named, software
 from ...scene import render_capture
 from ...views import lens_numbers
 from ..calibrate.photon_transfer import electrons
@@ -73,14 +73,12 @@ class Judged:
     """The paper's statements on one light field, and how well it is deconvolved."""
 
     pictures: dict[tuple[str, float], Floats]
-    measured: dict[str, Any]
+    measured: Named
     claims: list[Claim]
-    quality: list[dict[str, Any]]
+    quality: list[Named]
 
 
-def reproduce_real(
-    output: Path, folder: Path, *, wavelength: float = 550.0, stages: StageOptions | None
-) -> dict[str, Any]:
+def reproduce_real(output: Path, folder: Path, *, wavelength: float = 550.0, stages: StageOptions | None) -> Named:
     """Judge the paper's statements on a folder's light field and on a simulated control, and write the report."""
     store = open_store(output, stages)
     recorded = read_recording_of(folder)
@@ -221,9 +219,7 @@ def _deconvolved(capture: Capture, paper: Floats, distance: float) -> Floats:
     return np.asarray(plane.image / np.quantile(paper, 0.9), np.float32)
 
 
-def _quality(
-    name: str, shape: Shape, recording: Recording, paper: Floats, image: Floats, wavelength: float
-) -> dict[str, Any]:
+def _quality(name: str, shape: Shape, recording: Recording, paper: Floats, image: Floats, wavelength: float) -> Named:
     """Return what is left of the lenses' grid, what is unexplained, and the width of an edge, in a shape's plane."""
     row = {"shape": name, "distance": shape.distance}
     camera = recording.camera

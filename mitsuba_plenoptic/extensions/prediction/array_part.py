@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Named
 from ..calibrate.array_fit import ArrayFit, places
 from ..calibrate.field_fit import FieldNumbers, pixels_of_cells
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -51,7 +50,7 @@ class CameraModel:
         bright = fit.brightness / np.nanmean(fit.brightness)
         return cls(fit.camera, fit.wavelength, fit.array, fit.field, fit.lens, bright)
 
-    def to_plain(self) -> dict[str, Any]:
+    def to_plain(self) -> Named:
         """Return the model as plain values, for files."""
         array = {name: np.asarray(value).tolist() for name, value in asdict(self.array).items()}
         field = {
@@ -63,7 +62,7 @@ class CameraModel:
         return {"camera": self.camera.to_dict(), "wavelength": self.wavelength, "array": array, "field": field, **lens}
 
     @classmethod
-    def of(cls, plain: dict[str, Any]) -> CameraModel:
+    def of(cls, plain: Named) -> CameraModel:
         """Return the model that `to_plain` made plain."""
         values = plain["array"]
         array = ArrayFit(

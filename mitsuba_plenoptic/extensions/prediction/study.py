@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, digest
-from ...runtime import Array, Progress
+from ...runtime import Array, Named, Progress
 from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, black_level, clipped, stuck
@@ -196,7 +196,7 @@ class Study:
         pictures = self.pictures
         length = None if light == "rays" else self.wavelength
 
-        def fitted(progress: Progress) -> dict[str, Any]:
+        def fitted(progress: Progress) -> Named:
             fit = fit_white(pictures.white, self.camera, dark=pictures.dark, wavelength=length, progress=progress)
             return CameraModel.fitted(fit).to_plain()
 
@@ -231,7 +231,7 @@ class Study:
         if self._planes:
             return self._planes
 
-        def found(progress: Progress) -> dict[str, Any]:
+        def found(progress: Progress) -> Named:
             tried = distances_of(self.camera, *_SEARCHED)
             used = self.withheld(0).used
             electrons = self.electrons(None)
@@ -264,7 +264,7 @@ class Study:
         """
         mask = self.withheld(seed).used
 
-        def fitted(progress: Progress) -> tuple[Array, dict[str, Any]]:
+        def fitted(progress: Progress) -> tuple[Array, Named]:
             electrons = self.electrons(simulated)
             fit = fit_scene(self.projector(light), electrons, mask, self.dark_variance, strength, ITERATIONS, progress)
             return fit.predicted[None], {"stray_light": fit.stray}
@@ -275,7 +275,7 @@ class Study:
     def _scene(self, light: str) -> tuple[Array, float]:
         """Return the scene that all pixels together give, and the stray light."""
 
-        def fitted(progress: Progress) -> tuple[Array, dict[str, Any]]:
+        def fitted(progress: Progress) -> tuple[Array, Named]:
             mask = self.pictures.good[self._pixels.pixel]
             electrons = self.electrons(None)
             strength = self.strength(light, "pixels")

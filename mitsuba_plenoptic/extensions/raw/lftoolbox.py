@@ -12,7 +12,6 @@ on integers; here pixel k covers [k, k + 1), so that offsets differ by a half.
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.io
@@ -20,7 +19,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
-from ...runtime import atomic_output, h5py_module, require_file, require_memory, stored_array
+from ...runtime import Named, atomic_output, h5py_module, require_file, require_memory, stored_array
 from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field, warn_of_dark
 
 # What is read of a lens grid.
@@ -65,7 +64,7 @@ def write_lftoolbox(path: str | Path, lf: xr.DataArray, *, precision: str = "uin
     if kind.kind == "u":
         warn_of_dark(path, values)
         stored = np.round(np.clip(stored, 0, 1) * (2 ** (8 * kind.itemsize) - 1))
-    variables: dict[str, Any] = {"LF": stored.astype(kind), "MaxLum": peak}
+    variables: Named = {"LF": stored.astype(kind), "MaxLum": peak}
     if (grid := grid_of(lf)) is not None:
         refuse_if(bool(grid.warp), "camera: a lenslet grid model has no mla_warp and no mla_tilt; leave them out")
         rows, columns = grid.shape
@@ -145,7 +144,7 @@ def _check(shape: tuple[int, ...]) -> None:
     require_memory(16.0 * float(np.prod(shape, dtype=np.float64)), f"LF has the shape {shape}")
 
 
-def _read_version_5(path: Path) -> dict[str, Any]:
+def _read_version_5(path: Path) -> Named:
     variables = scipy.io.whosmat(path)
     for name, shape, kind in variables:
         if name in ("LF", "White"):
@@ -165,14 +164,14 @@ def _read_version_5(path: Path) -> dict[str, Any]:
     return content
 
 
-def _read_hdf5(path: Path) -> dict[str, Any]:
+def _read_hdf5(path: Path) -> Named:
     h5py = h5py_module("a MATLAB 7.3 file (one saved with '-v7' does not)")
     with h5py.File(path, "r") as file:
         stored = stored_array(file, "LF")
         refuse_if(stored is None, "it has no variable LF")
         # HDF5 lists MATLAB's dimensions in the opposite order.
         _check(stored.shape[::-1])
-        variables: dict[str, Any] = {"LF": np.transpose(stored[()])}
+        variables: Named = {"LF": np.transpose(stored[()])}
         largest = stored_array(file, "MaxLum")
         if largest is not None:
             variables["MaxLum"] = float(largest[0, 0])
@@ -186,7 +185,7 @@ def _read_hdf5(path: Path) -> dict[str, Any]:
     return variables
 
 
-def grid_of_model(model: dict[str, Any]) -> LensGrid | None:
+def grid_of_model(model: Named) -> LensGrid | None:
     """Return the grid of a lenslet grid model, None if the model describes the transposed image."""
     if str(model.get("Orientation", "horz")).lower() != "horz":
         return None

@@ -14,7 +14,7 @@ from ...errors import refuse_if
 from ...lenses import FourierLens, TelecentricLens
 from ...prescription import lens_data
 from ...report import photograph, photographic_sensor
-from ...runtime import Array, Pair
+from ...runtime import Array, Pair, Shape
 
 _FAR = 1e5
 """Distance in focal lengths that represents infinity."""
@@ -49,17 +49,17 @@ class LensView:
         """Name of the plane in focus."""
         return f"in focus at {self.in_units(self.focus)}"
 
-    def sharp_range(self) -> tuple[float, float]:
+    def sharp_range(self) -> Pair:
         """Return the range of refocusing, without diffraction."""
         return design.refocus_range(self.camera)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int) -> Array:
+    def take(self, scene: Any, size: Shape, spp: int) -> Array:
         """Return the picture of the scene, with colours where the variant has them, by Mitsuba's thin lens."""
         lens = {"aperture_radius": self.camera.aperture_radius, "focus_distance": self.focus}
         colours = "luminance" if mi.is_monochromatic else "rgb"
         return photograph(scene, photographic_sensor(scene, self.camera, size, colours, type="thinlens", **lens), spp)
 
-    def sight(self, scene: Any, size: tuple[int, int]) -> Pair:
+    def sight(self, scene: Any, size: Shape) -> Pair:
         """Return the rays through the centre of the pupil, one per pixel, and the transform of the camera to the world.
 
         The rays are those of Mitsuba's `perspective` sensor.
@@ -77,7 +77,7 @@ class LensView:
         blur = camera.aperture_diameter * np.abs(lens_data.defocus_factor(distance, image, camera.focal_length))
         return np.asarray(blur <= camera.row_pitch)
 
-    def field(self, distance: float) -> tuple[float, float]:
+    def field(self, distance: float) -> Pair:
         """Return width and height of the field in mm, which grow with the distance before a thin lens."""
         columns, rows = self.camera.bin_count
         bin_size = self.camera.bin_size(distance)
@@ -91,13 +91,13 @@ class LensView:
         width, height = (extent * self.per_millimetre for extent in self.field(self.focus))
         return f"{width:.4g} x {height:.4g} {self.unit}"
 
-    def size(self, columns: int) -> tuple[int, int]:
+    def size(self, columns: int) -> Shape:
         """Return columns and rows of the picture: whole pixels for each bin, and at least so many columns."""
         across, down = self.camera.bin_count
         width = -(-columns // across)
         return across * width, down * width
 
-    def drawn_range(self, distances: Array) -> tuple[float, float]:
+    def drawn_range(self, distances: Array) -> Pair:
         """Return the range over which the field is drawn: from the lens to the farthest of the visible points."""
         return 0.0, 1.15 * max(self.focus, float(np.percentile(distances, 99)) if distances.size else 0.0)
 
@@ -133,21 +133,21 @@ class MicroscopeView(LensView):
         """Name of the plane in focus."""
         return "in focus in the native object plane"
 
-    def field(self, distance: float) -> tuple[float, float]:
+    def field(self, distance: float) -> Pair:
         """Return width and height of the field, in the Fourier arrangement of the field stop or of one lens."""
         if not self._objective.images_stop:
             return super().field(distance)
         return (design.native_field(self.camera),) * 2
 
-    def size(self, columns: int) -> tuple[int, int]:
+    def size(self, columns: int) -> Shape:
         """Return columns and rows of the picture, of which the square field of the Fourier arrangement has as many."""
         return (columns, columns) if self._objective.images_stop else super().size(columns)
 
-    def sharp_range(self) -> tuple[float, float]:
+    def sharp_range(self) -> Pair:
         """Return the range of depths that `design.depth_of_field` states."""
         return design.depth_of_field(self.camera)
 
-    def take(self, scene: Any, size: tuple[int, int], spp: int) -> Array:
+    def take(self, scene: Any, size: Shape, spp: int) -> Array:
         """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
         integrator = scene.integrator()
         # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
@@ -173,7 +173,7 @@ class MicroscopeView(LensView):
             total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
         return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
 
-    def sight(self, scene: Any, size: tuple[int, int]) -> Pair:
+    def sight(self, scene: Any, size: Shape) -> Pair:
         """Return rays parallel to the axis."""
         return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)))
 
@@ -182,7 +182,7 @@ class MicroscopeView(LensView):
         steepest = math.tan(self._objective.half_angle)
         return 2 * np.abs(distance) * steepest <= self.camera.bin_size(0)
 
-    def drawn_range(self, distances: Array) -> tuple[float, float]:
+    def drawn_range(self, distances: Array) -> Pair:
         """Return a range that reaches as far before the native object plane as beyond it."""
         reach = np.abs([end for end in self.sharp_range() if math.isfinite(end)] + [*distances])
         half = 1.15 * max(float(np.max(reach, initial=0.0)), self.field(0.0)[0] / 4)
@@ -212,7 +212,7 @@ def view_of(camera: PlenopticCamera) -> LensView:
     return LensView(camera) if camera.objective is None else MicroscopeView(camera)
 
 
-def _pixel_centres(size: tuple[int, int]) -> Pair:
+def _pixel_centres(size: Shape) -> Pair:
     """Return the centres of all pixels, row by row, in fractions of the picture."""
     index = dr.arange(mi.UInt32, size[0] * size[1])
     row = index // size[0]

@@ -16,7 +16,7 @@ from ...errors import InputError, refuse_if
 from ...io import Capture
 from ...refocus import Reconstruction
 from ...report import images, pages
-from ...runtime import Array, write_text
+from ...runtime import Array, Named, write_text
 from ...views import (
     DIMS,
     bin_grid,
@@ -242,7 +242,7 @@ def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float
 
 def _recording(
     recording: Recording, name: str, lf: xr.DataArray, white: float, bits: int, count: int
-) -> tuple[dict[str, Any], list[tuple[str, str]]]:
+) -> tuple[Named, list[tuple[str, str]]]:
     """Return views, raw picture and geometry of a light field for the page, with sentences about them."""
     all_views = recording.light_field
     full = max(float(lf.max()), white)
@@ -299,7 +299,7 @@ def _thinned(lf: xr.DataArray, samples: int) -> xr.DataArray:
     return pick_views(lf, count)
 
 
-def _raw(image: Array, lf: xr.DataArray, white: float, count: int) -> tuple[dict[str, Any], str]:
+def _raw(image: Array, lf: xr.DataArray, white: float, count: int) -> tuple[Named, str]:
     """Return the raw picture with positions of micro-images and bins, and a sentence that describes it."""
     factor = math.ceil(math.sqrt(image.size * count / _RAW_BYTES))
     small = images.shrink(image, math.ceil(max(image.shape[:2]) / factor)) if factor > 1 else image
@@ -328,7 +328,7 @@ def _raw(image: Array, lf: xr.DataArray, white: float, count: int) -> tuple[dict
     return content, f"{image.shape[1]} x {image.shape[0]} pixels{averaged}; 8 bits, up to {full:.3g}"
 
 
-def _depth(estimate: xr.Dataset) -> dict[str, Any]:
+def _depth(estimate: xr.Dataset) -> Named:
     """Return a depth map as inverse distances, without depths of low confidence."""
     depth = np.asarray(estimate["depth"], dtype=np.float64)
     # Confidence above which a depth is shown.
