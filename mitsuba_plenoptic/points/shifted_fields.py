@@ -7,7 +7,7 @@ Optics", section 4.2; exact for small directions, as behind an objective). So al
 spread, and their image is a convolution (Guo, Liu, Hua, Li, Jia 2019, "Fourier light-field microscopy", Optics Express
 27, 25573).
 
-The spread is divided into the spots behind single lenses, so that the field stop can end the micro-image of each. Spots
+The spread is divided into the spots behind single lenses, as the field stop cuts the light through each. Spots
 are sampled twice as finely as their lines need, and cubic splines move them to the points: errors of about 0.1 %.
 """
 
@@ -30,7 +30,7 @@ from ..design import lens_directions, objective_of
 from ..errors import refuse_if
 from ..fields import OpticalSystem
 from ..lenses import FourierLens
-from ..optics import in_millimetres, soft_edge
+from ..optics import in_millimetres
 from ..runtime import Doubles, Floats, Integers, Job, Part
 from .full_fields import FullFieldPlan, FullFieldSum, full_field, recorded_pixels
 from .pupil_weights import PupilWeights
@@ -51,13 +51,6 @@ class ShiftedPlan(FullFieldPlan):
         super().__init__(system, points, pupil_weights, accuracy)
         camera, lens = system.camera, objective_of(system.camera)
         refuse_if(pupil_weights is not None, "pupil_weights: spreads of method patch are shared there; use full_field")
-        z = camera.reduced_distance
-        blur = float(camera.lattice.aperture_reach) * max(abs(1 - z / f2) for f2 in camera.reduced_focal_lengths)
-        refuse_if(
-            lens.field_stop is not None and blur > camera.pixel_size,
-            f"detector_distance = {camera.detector_distance:g}: the field stop's edge is {blur:.2g} mm out of focus on "
-            "the detector, where method patch takes a pixel; use full_field",
-        )
         deepest = float(np.abs(points[:, 2]).max(initial=0))
         if lens.field_stop is not None:
             # Light of the point on the axis that no point sends through the field stop is left out.
@@ -182,8 +175,7 @@ class Spots:
 class ShiftedLayer:
     """The linear function from weights of points of one depth to the image of their shifted spots.
 
-    The field stop cuts light before lenses spread it. Spots of points whose light through a lens passes or misses it
-    wholly are retained or left out whole; where the field stop cuts that light, it ends the spot on the detector.
+    The field stop cuts light before lenses spread it: where it cuts that of a point through a lens, the spot is darker.
     """
 
     def __init__(self, system: OpticalSystem, spots: Spots, positions: Doubles):
@@ -192,7 +184,6 @@ class ShiftedLayer:
         # Millimetres in the native image plane for a pixel.
         self._native = camera.pixel_size * lens.last_focal_length / camera.reduced_distance
         box, size = recorded_pixels(camera), spots.values.shape[1] // spots.parts
-        self._centres = np.stack(camera.lattice.centre(*lens_directions(camera).index.T), -1)
         # Points beyond send no light to recorded pixels.
         stop = self._lens.window.radius + spots.width.max() + np.abs(spots.passage).max()
         low = np.maximum((np.array([box.left, box.top]) - spots.corner - size).min(0), -stop / self._native)
@@ -227,11 +218,10 @@ class ShiftedLayer:
         shifts = (self._points.T @ weights).T.reshape(-1, rows, columns).astype(np.float32)
         image = np.pad(np.zeros((len(shifts), *self._camera.shape), np.float32), self._margins)
         for number, window in self._windows():
-            spot = rfft2(self._spots.values[number], self._shape)
-            for passed, seen in self._passages(number):
-                light = irfft2(rfft2(shifts * passed, self._shape) * spot, self._shape)
-                height, width = (length // parts for length in self._shape)
-                image[window] += seen * light.reshape(-1, height, parts, width, parts).sum((2, 4))
+            spectrum = rfft2(shifts * self._passed(number), self._shape)
+            light = irfft2(spectrum * rfft2(self._spots.values[number], self._shape), self._shape)
+            height, width = (length // parts for length in self._shape)
+            image[window] += light.reshape(-1, height, parts, width, parts).sum((2, 4))
         (_, (top, _), (left, _)), (height, width) = self._margins, self._camera.shape
         return image[:, top : top + height, left : left + width]
 
@@ -242,10 +232,9 @@ class ShiftedLayer:
         shifts = np.zeros((len(image), rows, columns), np.float32)
         image = np.pad(image, self._margins)
         for number, window in self._windows():
-            spot = rfft2(self._spots.values[number], self._shape).conj()
-            for passed, seen in self._passages(number):
-                fine = (seen * image[window]).repeat(parts, 1).repeat(parts, 2)
-                shifts += passed * irfft2(rfft2(fine) * spot, self._shape)[:, :rows, :columns]
+            spectrum = rfft2(image[window].repeat(parts, 1).repeat(parts, 2))
+            light = irfft2(spectrum * rfft2(self._spots.values[number], self._shape).conj(), self._shape)
+            shifts += self._passed(number) * light[:, :rows, :columns]
         return np.asarray(self._points @ shifts.reshape(len(image), -1).T, np.float64)
 
     @property
@@ -261,35 +250,19 @@ class ShiftedLayer:
             if 0 < left < box.columns + width and 0 < top < box.rows + height:
                 yield number, np.s_[:, top : top + height, left : left + width]
 
-    def _passages(self, number: int) -> Iterator[tuple[Any, Any]]:
-        """Yield factors on shifts and on pixels: of light that passes the field stop wholly, and that it cuts."""
-        lens, spots, camera = self._lens, self._spots, self._camera
-        if lens.objective.field_stop is None:
-            yield np.float32(1), np.float32(1)
-            return
-        part = self._native / spots.parts
-        columns, rows = self._grid * spots.parts
+    def _passed(self, number: int) -> Any:
+        """Return the part of a lens's light that passes the field stop, for the shifts of the grid."""
+        stop = self._lens.objective.field_stop
+        if stop is None:
+            return np.float32(1)
         x, y = (
-            (np.arange(count) / spots.parts + origin) * self._native + passage
-            for count, origin, passage in zip((columns, rows), self._origin, spots.passage[number], strict=True)
-        )
-        inset = lens.field_inset(x, y[:, None]) / part
-        half = spots.width[number] / part / 2
-        # Light narrower than a line is cut by its middle.
-        whole = soft_edge(inset - half) if half > 1 else soft_edge(inset)
-        if whole.any():
-            yield whole.astype(np.float32), np.float32(1)
-        cut = soft_edge(inset + half) - whole
-        if half > 1 and cut.any():
-            corner = self._origin + spots.corner[number]
-            x, y = (
-                (np.arange(count // spots.parts) + 0.5 + start - size / 2 - c / camera.pixel_size) * self._native
-                for count, start, size, c in zip(
-                    self._shape[::-1], corner, camera.resolution, self._centres[number], strict=True
-                )
+            (np.arange(count) / self._spots.parts + origin) * self._native + passage
+            for count, origin, passage in zip(
+                self._grid * self._spots.parts, self._origin, self._spots.passage[number], strict=True
             )
-            seen = soft_edge(lens.field_inset(x, y[:, None]) / self._native)
-            yield cut.astype(np.float32), seen.astype(np.float32)
+        )
+        width = max(self._spots.width[number], self._native / self._spots.parts)
+        return (self._lens.field_inset(x, y[:, None]) / width + 0.5).clip(0, 1).astype(np.float32)
 
 
 def fine_camera(
