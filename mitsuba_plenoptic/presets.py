@@ -86,7 +86,7 @@ from typing import Any
 
 from .extension import entries, place
 
-_RAYTRIX: dict[str, Any] = {
+_RAYTRIX = {
     "focal_length": 49.885,
     "aperture_radius": 6.2356,
     "mla_distance": 56.86,
@@ -98,7 +98,7 @@ _RAYTRIX: dict[str, Any] = {
     "resolution": (4080, 3068),
 }
 
-_WAVEFRONT_SENSOR: dict[str, Any] = {
+_WAVEFRONT_SENSOR = {
     "focal_length": 500.0,
     "aperture_radius": 5.0,
     "mla_focal_length": 16.0,

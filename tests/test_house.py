@@ -52,22 +52,22 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 76_000,
-    "lines of the core": 50_800,
-    "tokens": 538_100,
+    "lines": 75_400,
+    "lines of the core": 50_420,
+    "tokens": 538_269,
     "tokens of the core": 351_700,
-    "functions": 4_020,
+    "functions": 4_015,
     "percentage of functions of at most three statements": 47.6,
-    "checks and raises": 1_779,
-    "definitions of checks": 116,
+    "checks and raises": 1_746,
+    "definitions of checks": 115,
     "names of the core that extensions import": 363,
     "modules of the core that extensions import": 28,
-    "constants of modules": 877,
+    "constants of modules": 803,
     "lines of tests": 30_700,
-    "lines of tools": 10_160,
+    "lines of tools": 10_120,
     "words of docs": 55_836,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_280,
+    "lines that a ray capture loads": 16_010,
     "modules that a wave capture loads": 133,
 }
 """Values where the goal is not reached, rounded up."""

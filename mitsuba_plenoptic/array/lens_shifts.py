@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import numpy as np
 
-from ..runtime import Doubles, Pair, Triple, exponents, module_of, monomials, turn
+from ..runtime import Doubles, Pair, Shape, Triple, exponents, module_of, monomials, turn
 
 Corner = Sequence[float] | Doubles
 """X and y of a corner of a rectangle."""
@@ -63,7 +63,7 @@ class Displacement:
         return bool(self.warp or self.chief_rays)
 
     @property
-    def powers(self) -> list[tuple[int, int]]:
+    def powers(self) -> list[Shape]:
         """Powers of x and y of the terms of the warp, whose degree its number of coefficients tells."""
         return WARP_POWERS[: len(self.warp) // 2]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError, naming, refuse_if, require_choice, require_wavelength, short_repr
 from ..prescription import LINE_D, SINGLE, Glass
-from ..runtime import Pair, PlainData, read_json_value
+from ..runtime import Named, Pair, PlainData, read_json_value
 from . import Lattice
 
 MM_PER_NM = 1e-6
@@ -95,7 +95,7 @@ class MicrolensShape(PlainData, ABC):
         """Whether the slopes depend on the wavelength."""
         return self.strength(486.1) != self.strength(656.3)
 
-    def to_plain(self) -> dict[str, Any]:
+    def to_plain(self) -> Named:
         """Return the form and the fields as plain data, for files and headers."""
         return {"form": self.form} | super().to_plain()
 

@@ -39,6 +39,7 @@ from ..errors import (
 from ..extension import Displayed, missing
 from ..prescription import SINGLE, THIN, LensData, image_distance
 from ..presets import PRESETS
+from ..runtime import Named
 from .documentation import numpy_section, signature
 from .entry import one_if_equal, record
 from .geometry import NO_ARRAY_HERE, CameraGeometry
@@ -46,9 +47,9 @@ from .matched import MATCHED, behind_pupil, micrometres, require_enough
 from .parameters import PARAMETERS
 
 
-def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
+def checked_values(stated: Named) -> Named:
     """Return all parameters of a camera by attribute: given ones after their checks, otherwise defaults."""
-    values: dict[str, Any] = {}
+    values: Named = {}
     lattice = PARAMETERS["mla_lattice"]
     has_array = lattice.check(lattice.name, stated.get(lattice.name, lattice.default)) != NO_LATTICE
     for name, entry in PARAMETERS.items():
@@ -97,7 +98,7 @@ def checked_values(stated: dict[str, Any]) -> dict[str, Any]:
     return values
 
 
-def _numbers_of_lens(stated: dict[str, Any]) -> frozenset[str]:
+def _numbers_of_lens(stated: Named) -> frozenset[str]:
     """Return which of focal length, aperture and distance parameters give, `focus_distance` in place of a distance."""
     names = {
         PARAMETERS[name].instead_of or name
@@ -107,7 +108,7 @@ def _numbers_of_lens(stated: dict[str, Any]) -> frozenset[str]:
     return frozenset(names & {"focal_length", "aperture_radius", "mla_distance"})
 
 
-def _settled_array(values: dict[str, Any]) -> dict[str, Any]:
+def _settled_array(values: Named) -> Named:
     """Return a camera's focal lengths and detector distance of the microlenses; refuse a contradictory array."""
     focal_lengths = values["mla_focal_lengths"] or (0.512,)
     if values["mla_shape"] is not None:
@@ -285,7 +286,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         >>> camera.resolution, round(camera.micro_image_pitch, 12), round(camera.micro_image_diameter, 12)
         ((1000, 1000), 0.05, 0.05)
         """
-        sheet: dict[str, Any] = {"f_number": f_number, "lenses": lenses, "pixels_per_lens": pixels_per_lens}
+        sheet: Named = {"f_number": f_number, "lenses": lenses, "pixels_per_lens": pixels_per_lens}
         sheet |= {"pixel_size": pixel_size, "sensor_size": sensor_size}
         sheet |= {name: others.get(name) for name in ("resolution", "mla_pitch")}
         require_enough(sheet | others)
@@ -326,7 +327,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         return camera
 
     @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> PlenopticCamera:
+    def from_dict(cls, values: Named) -> PlenopticCamera:
         """Return the camera that `to_dict` wrote as a dictionary, for example in a file's header.
 
         Parameters
@@ -343,11 +344,11 @@ class PlenopticCamera(CameraGeometry, Displayed):
                 )
         return cls._from_names(values)
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> Named:
         """Return all parameters by name in the form that the camera stores and the constructor accepts."""
         return {name: getattr(self, entry.attribute) for name, entry in PARAMETERS.items() if not entry.instead_of}
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Named:
         """Return all parameters by name as plain Python values; lens and glasses are dictionaries."""
         plain = {name: PARAMETERS[name].plain(value) for name, value in self.arguments().items()}
         return {name: value for name, value in plain.items() if value is not None}
@@ -394,7 +395,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         put(camera, _given=frozenset(name for name in camera._given if getattr(camera, name) != of_lens[name]))
         return camera
 
-    def to_sensor(self, to_world: Any = None, pixel_format: str | None = None) -> dict[str, Any]:
+    def to_sensor(self, to_world: Any = None, pixel_format: str | None = None) -> Named:
         """Return the sensor plugin ``plenoptic`` of this camera for ``mi.load_dict``, film included.
 
         Parameters
@@ -420,7 +421,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         columns, rows = values.pop("resolution")
         left, top = values.pop("crop_offset")
         width, height = values.pop("crop_size")
-        sensor: dict[str, Any] = {"type": "plenoptic"}
+        sensor: Named = {"type": "plenoptic"}
         for name, value in values.items():
             # Lenses and glasses are JSON, several values have commas between them.
             if isinstance(value, dict):
@@ -451,7 +452,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
             As for `to_sensor`; `to_world` may also be an array (4, 4).
         """
 
-        def element(tag: str, values: dict[str, Any], **attributes: str) -> ElementTree.Element:
+        def element(tag: str, values: Named, **attributes: str) -> ElementTree.Element:
             node = ElementTree.Element(tag, {"type": values["type"], **attributes})
             for name, value in values.items():
                 if isinstance(value, dict):
@@ -573,7 +574,7 @@ class PlenopticCamera(CameraGeometry, Displayed):
         """
         if self.glass is None and self.mla_glass is None:
             return self
-        changes: dict[str, Any] = {"glass": None, "mla_glass": None}
+        changes: Named = {"glass": None, "mla_glass": None}
         if self.glass is not None:
             changes["focal_length"] = self.focal_length * self.glass.focal_ratio(wavelength)
         if self.mla_glass is not None:
@@ -589,7 +590,7 @@ def require_camera(value: Any, name: str = "camera") -> PlenopticCamera:
     return value
 
 
-def film_numbers(film: Any) -> dict[str, Any]:
+def film_numbers(film: Any) -> Named:
     """Return the parameters of a camera that its film states: resolution and crop, in pixels."""
     return {
         "resolution": tuple(film.size()),

@@ -35,7 +35,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime import Array, as_pixels, atomic_output, of_one_file, require_writable
+from ..runtime import Array, Named, as_pixels, atomic_output, of_one_file, require_writable
 from .exr import ATTRIBUTE, read_attributes, read_exr, read_pixels, write_exr
 from .versions import require_seal, sealed
 
@@ -148,7 +148,7 @@ RECORDED = "raw"
 """Entries of a capture's metadata on its detector: a simulated one, and that of a real camera."""
 
 
-def recording_of(capture: Capture) -> dict[str, Any]:
+def recording_of(capture: Capture) -> Named:
     """Return the record of the detector in a capture's metadata, empty if there is none."""
     recording = capture.metadata.get(EXPOSED, capture.metadata.get(RECORDED))
     return recording if isinstance(recording, dict) else {}
@@ -194,7 +194,7 @@ def write_capture(path: str | Path, capture: Capture) -> None:
     write_exr(path, capture.image, _record(capture, "capture"), noise=capture.noise, **window)
 
 
-def _record(capture: Capture, kind: str) -> dict[str, Any]:
+def _record(capture: Capture, kind: str) -> Named:
     """Return all data of a capture except its pixels, as stored in files."""
     return {
         "kind": kind,
@@ -205,7 +205,7 @@ def _record(capture: Capture, kind: str) -> dict[str, Any]:
     }
 
 
-def _capture_of(record: dict[str, Any], image: Array, noise: Array | None = None) -> Capture:
+def _capture_of(record: Named, image: Array, noise: Array | None = None) -> Capture:
     """Return a capture from its pixels and the record of its other data."""
     return Capture(
         image,
@@ -342,7 +342,7 @@ def digital_numbers(capture: Capture) -> NDArray[np.uint16]:
     return numbers.astype(np.uint16)
 
 
-def response_of(exposure: dict[str, Any]) -> tuple[float, float, float, float]:
+def response_of(exposure: Named) -> tuple[float, float, float, float]:
     """Return gain, black level, dark electrons, and electrons at pixel value 1, from the record of `expose`."""
     for name in ("gain", "black_level", "dark_electrons", "quantum_efficiency", "photons"):
         refuse_if(name not in exposure, f"exposure: {name}: it is missing")

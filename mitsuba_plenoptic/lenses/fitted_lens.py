@@ -27,7 +27,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import put, refuse_if
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers, Pair, drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Integers, Named, Pair, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
 from .pupil import Pupil
@@ -386,7 +386,7 @@ class VaryingLens:
     base: FittedLens
     mla_distance: Any
     # Dr.Jit values with gradients, by names of `LENS_NUMBERS`; parameters that are absent are fixed.
-    numbers: dict[str, Any]
+    numbers: Named
     # Counter-clockwise rotation, in degrees, of the frame of the points against the scene.
     turned: Any = 0.0
     pupil: Pupil = field(init=False)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, Triple, minimum, safe_sqrt
+from ..runtime import Doubles, Pair, Shape, Triple, minimum, safe_sqrt
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Degrees:
     depth: int
 
     @cached_property
-    def pairs(self) -> list[tuple[int, int]]:
+    def pairs(self) -> list[Shape]:
         """Pairs of powers, of the pupil's invariant and of the mixed invariant, that occur in the polynomial."""
         powers = range(min(self.pupil, self.field) + 1)
         return [(b, c) for c in powers for b in range((self.pupil - c) // 2, -1, -1)]

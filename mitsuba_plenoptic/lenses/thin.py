@@ -20,7 +20,7 @@ from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import in_millimetres, parabola, rays
 from ..prescription import SINGLE, Collimator, vergence
-from ..runtime import Doubles, Pair, Triple, sqrt
+from ..runtime import Doubles, Pair, Shape, Triple, sqrt
 from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
@@ -29,7 +29,7 @@ from .protocol import Entrance, Traced
 from .pupil import Pupil
 
 
-def noll(j: int) -> tuple[int, int]:
+def noll(j: int) -> Shape:
     """Return the radial order n and the azimuthal order m (negative for sines) of Noll index j."""
     n = (math.isqrt(8 * j - 7) - 1) // 2
     position = j - n * (n + 1) // 2 - 1

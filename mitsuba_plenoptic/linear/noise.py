@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ..errors import put_checked, refuse_if, require_number
 from ..io import response_of
-from ..runtime import Floats
+from ..runtime import Floats, Named
 
 _DARKEST = 0.01
 """Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
@@ -47,7 +46,7 @@ class PixelNoise:
         )
 
     @classmethod
-    def of_exposure(cls, exposure: dict[str, Any]) -> PixelNoise:
+    def of_exposure(cls, exposure: Named) -> PixelNoise:
         """Return the noise of a capture from the record that `expose` makes; refuse one that is damaged."""
         refuse_if(not isinstance(exposure, dict), "exposure of the capture: it is not one that 'expose' writes")
         gain, _, dark, electrons = response_of(exposure)

@@ -16,7 +16,7 @@ from ..extension import entries, place
 from ..lenses import main_lens
 from ..optics import second_leg
 from ..rays import LensRays, sampler_of
-from ..runtime import Pair, Triple, count_lanes, require_unfrozen
+from ..runtime import Named, Pair, Triple, count_lanes, require_unfrozen
 from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
@@ -354,7 +354,7 @@ def make_class() -> type:
     return PlenopticSensor
 
 
-def _parameters_of(camera: PlenopticCamera) -> dict[str, Any]:
+def _parameters_of(camera: PlenopticCamera) -> Named:
     """Return the camera parameters that the film does not determine."""
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 

@@ -12,7 +12,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..fields import OpticalSystem
 from ..optics import Spectrum
-from ..runtime import POINTS, Array, Doubles, Floats, Job, as_array, require_all
+from ..runtime import POINTS, Array, Doubles, Floats, Job, Shape, as_array, require_all
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT = 0.1
@@ -97,7 +97,7 @@ class WeightChannels:
                 else spectral_sum
             )
 
-    def check_image(self, image: Any, shape: tuple[int, int], dtype: Any = np.float32) -> Array:
+    def check_image(self, image: Any, shape: Shape, dtype: Any = np.float32) -> Array:
         """Return an image of shape (rows, columns, ...) as (rows, columns, channels); refuse other shapes."""
         rule = "it must be numbers, (rows, columns) or (rows, columns, channels)"
         pixels = as_array("image", image, dtype=dtype, rule=rule)

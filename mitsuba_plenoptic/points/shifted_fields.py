@@ -31,7 +31,7 @@ from ..errors import refuse_if
 from ..fields import OpticalSystem
 from ..lenses import FourierLens
 from ..optics import in_millimetres
-from ..runtime import Doubles, Floats, Integers, Job, Part
+from ..runtime import Doubles, Floats, Integers, Job, Part, Shape
 from .full_fields import FullFieldPlan, FullFieldSum, full_field, recorded_pixels
 from .pupil_weights import PupilWeights
 
@@ -238,7 +238,7 @@ class ShiftedLayer:
         return np.asarray(self._points @ shifts.reshape(len(image), -1).T, np.float64)
 
     @property
-    def _margins(self) -> list[tuple[int, int]]:
+    def _margins(self) -> list[Shape]:
         """Pixels around an image, as wide as the convolution."""
         return [(0, 0), *((length // self._spots.parts,) * 2 for length in self._shape)]
 

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 
 from ..optics import in_millimetres
-from ..runtime import Box, Doubles, Floats, Integers, Part, active_backend, array_module, drjit_array, fft
+from ..runtime import Box, Doubles, Floats, Integers, Part, Shape, active_backend, array_module, drjit_array, fft
 from .field_grid import lens_amplitude
 from .patch import PatchBatch, PatchWorkspace
 from .patch_factors import Fields, fields_memory
@@ -68,7 +68,7 @@ class PatchTile:
             sums[first : first + len(intensity)] += intensity.sum(2).sum(1, dtype=np.float64)
         return self._batch.libraries.to_host(sums)
 
-    def _intensities(self) -> Iterator[tuple[int, tuple[int, int], Any]]:
+    def _intensities(self) -> Iterator[tuple[int, Shape, Any]]:
         """Yield the first point, the first samples along x and y, and the intensity, of parts (points, along x, y)."""
         batch = self._batch
         arrays = self._arrays

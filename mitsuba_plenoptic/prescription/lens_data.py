@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ..errors import LONGEST, InputError, refuse_if, short_repr
-from ..runtime import PlainData
+from ..runtime import PlainData, Shape
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
@@ -158,7 +158,7 @@ class LensData(PlainData):
         """Return the diameter in mm, on the array, of the image of a point at a distance, by rays."""
         return float(camera.aperture_diameter * abs(camera.defocus(distance)))
 
-    def bin_count(self, camera: Any) -> tuple[int, int]:
+    def bin_count(self, camera: Any) -> Shape:
         """Return the number of bins across and down a reconstruction."""
         pitch = camera.row_pitch
         return even_count(camera.detector_width, pitch), even_count(camera.detector_height, pitch)

@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from ..errors import NO_RECORD, InputError, naming, refusing
 from ..extension import format_of, place
-from ..runtime import read_yaml, require_file
+from ..runtime import Named, read_yaml, require_file
 from .collimator import Collimator  # noqa: F401 (a kind of plain data that files may hold)
 from .lens_data import LensData, known_kind
 from .objective import Objective  # noqa: F401 (a kind of plain data that files may hold)
@@ -67,7 +67,7 @@ def lens_from_plain(value: Any) -> LensData:
     return known_kind(value, Prescription).from_plain(value)
 
 
-def known_lens(value: LensData | str | Path | dict[str, Any] | None) -> LensData | None:
+def known_lens(value: LensData | str | Path | Named | None) -> LensData | None:
     """Return a main lens from any of its forms; None means a thin lens."""
     if value is None or isinstance(value, LensData):
         return value

@@ -9,14 +9,14 @@ import drjit as dr
 import numpy as np
 
 from ..array import Lattice
-from ..runtime import Pair
+from ..runtime import Pair, Shape
 
 _ASIDE = math.sqrt(0.15)
 STAR = _ASIDE * np.vstack([np.zeros(4), *([-axis, axis] for axis in np.eye(4))])
 """Offsets of rays from the middle of a cell, over its widths: along each axis Gauss's quadrature with three points."""
 
 
-def lens_cells(lattice: Lattice, wide: float) -> tuple[int, int]:
+def lens_cells(lattice: Lattice, wide: float) -> Shape:
     """Return how many cells along both sides of `Lattice.aperture_point` are about `wide` along a lens."""
     if lattice.aperture == "circle":
         return math.ceil(wide) or 1, max(3, math.ceil(3 * wide))

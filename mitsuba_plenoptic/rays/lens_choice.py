@@ -21,7 +21,7 @@ from ..camera import PlenopticCamera
 from ..design import crosstalk_neighbours, crosstalk_reach, pupil_growth
 from ..errors import refuse_if
 from ..lenses import chief_points, main_lens
-from ..runtime import Array, Pair, drjit_array
+from ..runtime import Array, Pair, Shape, drjit_array
 from .tracer import Walk, deflects_cosines
 
 _SECTORS = 12
@@ -44,7 +44,7 @@ class LensChoice:
 
     # Steps in the lattice's indices, of which the first is the chief ray's own lens, or the indices of `fixed` lenses,
     # and their two columns for kernels.
-    lenses: tuple[tuple[int, int], ...]
+    lenses: tuple[Shape, ...]
     steps: Sequence[Any] = ()
     # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
     # of the distance from the axis, and the width of a step; None where all lenses are tried.

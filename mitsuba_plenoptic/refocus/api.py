@@ -16,7 +16,7 @@ from ..errors import LONGEST, require_count, suggest_keywords, warn
 from ..io import Capture, CaptureLike, Checkpoint, read_if_path
 from ..optics import guards
 from ..refocus_options import all_options, with_options
-from ..runtime import GIB, BatchMap, Forecast, Progress, in_words, memory_asked, one_at_a_time
+from ..runtime import GIB, BatchMap, Forecast, Named, Progress, in_words, memory_asked, one_at_a_time
 from .displacement import is_known
 from .methods import (
     Found,
@@ -252,7 +252,7 @@ def reconstruct(
 
 def _resolutions(
     camera: PlenopticCamera, distances: Sequence[float], wavelength: Any, chosen: RegisteredMethod
-) -> list[dict[str, Any]]:
+) -> list[Named]:
     """Return facts on distances: whether they are in the range of refocusing, and the samples resolved per lens."""
     if not camera.lens_data.converges:
         return [{} for _ in distances]
@@ -276,7 +276,7 @@ def _resolutions(
     return facts
 
 
-def _works(chosen: RegisteredMethod, capture: Capture, planes: int, settings: dict[str, Any]) -> list[float]:
+def _works(chosen: RegisteredMethod, capture: Capture, planes: int, settings: Named) -> list[float]:
     """Return the amounts of work of the white image and of the method."""
     if capture.model != "wave":
         return [0, 1]
@@ -312,7 +312,7 @@ def _reports(chosen: RegisteredMethod, progress: Progress | None, sizes: Sequenc
     return report
 
 
-def _refocused(task: Task, chosen: RegisteredMethod, settings: dict[str, Any]) -> list[Found]:
+def _refocused(task: Task, chosen: RegisteredMethod, settings: Named) -> list[Found]:
     """Return a method's results at each distance, by each channel's camera if the cameras of channels differ."""
     tasks = [task]
     # Methods that compare with computed captures ask for each wavelength's camera themselves.

@@ -28,7 +28,7 @@ from scipy.ndimage import map_coordinates, spline_filter, uniform_filter
 
 from ..array import Displacement
 from ..camera import PlenopticCamera, once_a_camera
-from ..runtime import Floats, Pair
+from ..runtime import Floats, Named, Pair
 from ..views import white_image
 from .splatting import pixel_rows
 
@@ -44,7 +44,7 @@ _NEAR = 0.01
 _DARKEST = 0.25
 """Light of a pixel in the white image, over that of the even camera, below which the pixel is not brightened."""
 
-_EVEN: dict[str, Any] = {"vignetting": None, "mla_transmissions": None}
+_EVEN: Named = {"vignetting": None, "mla_transmissions": None}
 """Parameters of a camera whose lenses see the same pupil equally bright."""
 
 _SAME = 1e-9

@@ -74,6 +74,7 @@ from ..runtime import (
     Field,
     Floats,
     Integers,
+    Named,
     Shape,
     active_backend,
     array_module,
@@ -180,7 +181,7 @@ def _signed_power(
     powers = [np.zeros(()) for _ in distances]
     for index, (sign, part) in enumerate(parts):
         # Guards look at the light, not at the noise below zero.
-        options: dict[str, Any] = {"relay": relay, "oversample": oversample * fine, "checked": checked and sign > 0}
+        options: Named = {"relay": relay, "oversample": oversample * fine, "checked": checked and sign > 0}
         options |= {
             "progress": portion(progress, index, [1] * len(parts)),
             "conjugates": real or ThinConjugates(system),

@@ -23,7 +23,7 @@ from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, header_of, reconstruct, require_distances
-from ..runtime import Array, Named, Progress, in_words
+from ..runtime import Array, Named, Progress, Shape, in_words
 from ..scene import pass_counts
 from .images import luminance
 
@@ -78,7 +78,7 @@ def pinhole_image(
 
 
 def photographic_sensor(
-    scene: Any, camera: PlenopticCamera, size: tuple[int, int], pixel_format: str = "luminance", **lens: Any
+    scene: Any, camera: PlenopticCamera, size: Shape, pixel_format: str = "luminance", **lens: Any
 ) -> Any:
     """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
     width = camera.bin_count[0] * camera.row_pitch

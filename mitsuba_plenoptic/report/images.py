@@ -13,7 +13,7 @@ from PIL import Image
 
 from ..choices import ANIMATED
 from ..errors import InputError, put_checked, require_number
-from ..runtime import Array, atomic_output
+from ..runtime import Array, Named, atomic_output
 
 SHOWN = (".png", ".pdf", *ANIMATED)
 """Suffixes of files that show radiances as brightness."""
@@ -46,7 +46,7 @@ def luminance(image: Array) -> Array:
     return image if image.ndim == 2 else image @ np.array([0.2126, 0.7152, 0.0722], image.dtype)
 
 
-def encode(image: Array, bits: int, full: float) -> dict[str, Any]:
+def encode(image: Array, bits: int, full: float) -> Named:
     """Return a linear image (rows, columns[, 3]) as the URL of a PNG from which a page reads the values.
 
     The values from 0 to `full`, encoded in sRGB, are integers of 8 or 16 bits; of 16 bits, the upper eight are stored

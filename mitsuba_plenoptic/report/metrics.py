@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 import scipy
@@ -14,7 +13,7 @@ import skimage.metrics
 from ..camera import PlenopticCamera
 from ..fields import clear
 from ..io import Capture
-from ..runtime import Array, as_array
+from ..runtime import Array, Named, as_array
 from ..views import white_image
 
 _WINDOW = 7
@@ -41,7 +40,7 @@ class ImageMetrics:
     energy: float
 
 
-def rounded(metrics: ImageMetrics | Difference) -> dict[str, Any]:
+def rounded(metrics: ImageMetrics | Difference) -> Named:
     """Return figures by name, rounded to their significant digits."""
     return {name: round(value, 5) if isinstance(value, float) else value for name, value in asdict(metrics).items()}
 

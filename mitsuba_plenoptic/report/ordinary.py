@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter
 
 from ..errors import refusing
 from ..optics import in_millimetres
-from ..runtime import Array
+from ..runtime import Array, Named
 from .edge import window_sharpness
 from .experiment import METHOD_TITLES, ORDINARY, SLIDER_METHODS, Experiment, Ordinary
 from .images import Brightness, luminance
@@ -21,7 +21,7 @@ from .plots import ACCENT, FAINT, INK, Plot, annotate, scale_bar, show, styled
 _TITLES = {ORDINARY: "Ordinary camera", **{name: METHOD_TITLES[name] for name in SLIDER_METHODS}}
 
 
-def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> dict[str, Any]:
+def measure_ordinary(experiment: Experiment, ordinary: Ordinary) -> Named:
     """Return the sharpness of an ordinary camera and of refocused images, in the plane in focus.
 
     Frequencies are in cycles per millimetre of that plane. Transfer functions include the pixels and end at one cycle

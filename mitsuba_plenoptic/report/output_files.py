@@ -16,7 +16,7 @@ from ..choices import PICTURES
 from ..errors import refuse_if
 from ..io import TRUTH_COORDINATES, image_channels, write_exr_parts
 from ..refocus import Reconstruction, write_reconstruction
-from ..runtime import Array, require_writable
+from ..runtime import Array, Named, Shape, require_writable
 from ..views import view_mosaic
 from .animations import write_animation
 from .images import Drawing, enlarge, enlargement, write_png
@@ -46,7 +46,7 @@ def reconstruction_paths(path: str | Path, distances: Sequence[float], drawing: 
 
 
 def write_reconstructions(
-    paths: Sequence[Path], results: Sequence[Reconstruction], source: dict[str, Any] | None, drawing: Drawing
+    paths: Sequence[Path], results: Sequence[Reconstruction], source: Named | None, drawing: Drawing
 ) -> None:
     """Write each reconstruction into its file, as OpenEXR or as a picture by the suffix.
 
@@ -117,7 +117,7 @@ def write_orbit(path: Path, lf: xr.DataArray, drawing: Drawing) -> int:
     return len(frames)
 
 
-def orbit(lf: xr.DataArray) -> list[tuple[int, int]]:
+def orbit(lf: xr.DataArray) -> list[Shape]:
     """Return the views (row, column) nearest to a circle of three quarters of the pupil's radius, each once."""
     u = lf.u.values
     v = lf.v.values

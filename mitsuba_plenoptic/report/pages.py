@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image
 
-from ..runtime import write_text
+from ..runtime import Shape, write_text
 from .images import data_url
 
 
@@ -59,7 +59,7 @@ class Picture:
         return data_url("png", self.content)
 
     @property
-    def size(self) -> tuple[int, int]:
+    def size(self) -> Shape:
         """Width and height in pixels."""
         return Image.open(io.BytesIO(self.content)).size
 

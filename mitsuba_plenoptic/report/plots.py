@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
 from ..io import linear_of
 from ..refocus import Reconstruction
-from ..runtime import Array, atomic_output
+from ..runtime import Array, Named, Shape, atomic_output
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
 
@@ -182,7 +182,7 @@ def annotate(axes: Axes, *, title: str = "", side: str = "", foot: str = "", siz
     axes.set_xlabel(foot, size=min(size, 8), color=FAINT, labelpad=4)
 
 
-def mark(axes: Axes, zoom: Zoom, corner: tuple[int, int], factor: float, name: str) -> None:
+def mark(axes: Axes, zoom: Zoom, corner: Shape, factor: float, name: str) -> None:
     """Draw the frame of a close-up on the picture of the whole detector."""
     corners = (np.array([[each.start, each.stop] for each in (zoom.columns, zoom.rows)]).T - corner[::-1]) / factor
     axes.add_patch(Rectangle(corners[0], *np.ptp(corners, axis=0), fill=False, edgecolor=ACCENT, linewidth=1.2))
@@ -215,7 +215,7 @@ def scale_bar(
     # Along the picture in fractions of its width, upwards in inches from its lower edge.
     figure: Any = axes.get_figure()
     inches: Any = figure.dpi_scale_trans + ScaledTranslation(0, 0, axes.transAxes)  # type: ignore[arg-type]
-    frame: dict[str, Any] = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
+    frame: Named = {"transform": blended_transform_factory(axes.transAxes, inches), "clip_on": False}
     # Bright pictures need something dark behind.
     outline = [] if below else [withStroke(linewidth=3, foreground="black")]
     backing = None if below else {"facecolor": "black", "edgecolor": "none", "pad": 1.5}

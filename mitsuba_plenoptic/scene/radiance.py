@@ -19,7 +19,7 @@ import numpy as np
 from ..camera import micrometres
 from ..design import depth_ranges
 from ..errors import InputError, advice, refuse_if, warn
-from ..runtime import Pair, Triple
+from ..runtime import Named, Pair, Triple
 
 _REPLAYED = {"PathIntegrator": "prb", "VolumetricPathIntegrator": "prbvolpath"}
 """For the class names of integrators, the plugins that find the same radiance and its derivatives."""
@@ -274,7 +274,7 @@ class ReplayedLight:
         self._replay.differentiate(dr.ADMode.Backward, cotangent)
 
 
-def _options(scene: Any, ray: Any, active: Any) -> dict[str, Any]:
+def _options(scene: Any, ray: Any, active: Any) -> Named:
     """Return the arguments of an integrator's `sample` that are the same in all modes."""
     return {"scene": scene, "ray": ray, "active": active, "depth": mi.UInt32(0), "δaovs": None}
 

@@ -20,7 +20,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_directions, objective_of
 from ..errors import refuse_if
 from ..prescription import Objective
-from ..runtime import Array, Doubles, Floats, Integers, require_memory
+from ..runtime import Array, Doubles, Floats, Integers, Shape, require_memory
 from .coordinates import DIMS, labelled
 from .grid import lenses_of_pixels
 from .white import MINIMUM_WEIGHT, divide_by_white
@@ -45,7 +45,7 @@ class LensViews:
     middle: Doubles
     slope: Doubles
     # Pixels of the pictures on either side of the one in the middle, along x and y.
-    half: tuple[int, int]
+    half: Shape
     # The lens of each pixel of the detector, -1 of none of these, (rows, columns).
     lens_of_pixel: Integers
 

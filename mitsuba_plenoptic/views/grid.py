@@ -17,7 +17,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Array, Doubles, Integers, require_memory, turn
+from ..runtime import Array, Doubles, Integers, Shape, require_memory, turn
 
 _ASIDE = 0.05
 """Displacement of lenses over the width of a bin up to which they are not interpolated."""
@@ -52,7 +52,7 @@ class LensGrid:
 
     spacing: tuple[float, float]
     offset: tuple[float, float]
-    shape: tuple[int, int]
+    shape: Shape
     rotation: float = 0.0
     shifted_rows: int | None = None
     warp: tuple[float, ...] = ()

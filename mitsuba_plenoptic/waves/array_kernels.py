@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import Doubles, Floats, Integers, exponents, fft, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, Floats, Integers, Shape, exponents, fft, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -280,7 +280,7 @@ def _transfer(
     return result / np.float32(measure.sum())
 
 
-def _symmetry(T: NDArray[Any], weight: Floats, axis: int | tuple[int, int]) -> Floats | None:
+def _symmetry(T: NDArray[Any], weight: Floats, axis: int | Shape) -> Floats | None:
     """Return 1 for weights that are even, and -1 for odd ones, along axes along which T is even; otherwise None.
 
     Shapes: the result (n, 1, 1), `weight` (n, rows, columns).

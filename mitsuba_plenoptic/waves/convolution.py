@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, Floats, Part, active_backend, add, backend_of, fft, on_all_cores
+from ..runtime import Box, Floats, Part, Shape, active_backend, add, backend_of, fft, on_all_cores
 
 TILE = 1536
 """Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
@@ -29,7 +29,7 @@ class Convolution:
         # The kernels, arrays (k, k) of any odd sizes k.
         kernels: Sequence[Floats],
         # Largest rows and columns of samples that are convolved together; by default those of `box`.
-        size: tuple[int, int] | None = None,
+        size: Shape | None = None,
     ):
         self._window = box_of(camera, 0)
         self._margin = margin_of(kernels)

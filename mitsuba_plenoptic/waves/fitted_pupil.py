@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..runtime import Doubles, Pair, drjit_array, monomials, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, Pair, Shape, drjit_array, monomials, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .lens_functions import edge_covariance, even_polynomials
 from .pupil_samples import PupilSamples, along, means, spread_points
@@ -48,7 +48,7 @@ class PupilFunctions:
     """Polynomials of a ray's pupil point, times the open and the closed share of the rays there."""
 
     # Powers of x and y of the monomials of each share.
-    exponents: list[tuple[int, int]]
+    exponents: list[Shape]
     # Coefficients (monomials of all shares, functions).
     combined: Doubles
 

@@ -39,6 +39,7 @@ from ..runtime import (
     Doubles,
     Floats,
     Pair,
+    Shape,
     begin_step,
     drjit_array,
     empty_packets,
@@ -74,7 +75,7 @@ class TableNode(NamedTuple):
     # Side lengths, which are whole multiples of the lattice periods.
     sides: tuple[float, float]
     # Samples along the sides.
-    counts: tuple[int, int]
+    counts: Shape
     # Number of intervals between nodes over a quarter turn.
     angular: int
 

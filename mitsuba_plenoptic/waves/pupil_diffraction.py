@@ -36,7 +36,7 @@ from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, Shape, exponents, single_threaded_blas
+from ..runtime import Doubles, Named, Pair, Shape, exponents, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -71,7 +71,7 @@ class PupilDiffraction:
     ):
         self.camera = camera
         self.wavelength = wavelength
-        self.options: dict[str, Any] = {"fine": fine, "shortest": shortest}
+        self.options: Named = {"fine": fine, "shortest": shortest}
         # Width of the pupil's diffraction on the detector, lambda b / R, in mm: 1.64 radii of the Airy disc.
         self.unit = in_millimetres(wavelength) * camera.pupil_distance / camera.pupil_radius
         # Widths in mm of the diffraction, and of blur that may differ between wavelengths.

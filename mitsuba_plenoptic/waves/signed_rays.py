@@ -33,6 +33,7 @@ from ..runtime import (
     Flags,
     Pair,
     PartialSum,
+    Shape,
     Triple,
     active_backend,
     begin_step,
@@ -635,9 +636,7 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
 
 
 @functools.lru_cache(maxsize=4)
-def _convolution_of(
-    camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: tuple[int, int], cuda: bool
-) -> Convolution:
+def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: Shape, cuda: bool) -> Convolution:
     """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
     begin_step("convolutions", 0.1)
     return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..rays import STAR, lens_cells, light_of_cells
-from ..runtime import Box, Doubles, Flags, drjit_array, interleaved
+from ..runtime import Box, Doubles, Flags, Shape, drjit_array, interleaved
 from .ray_sampler import CellLenses, LensSampler
 from .signed_capture import SignedCapture
 from .signed_rays import CellMeans, RayBatch, SignedRaySum
@@ -84,7 +84,7 @@ class WhiteSum(SignedRaySum):
         return mi.Float(light_of_cells(rays))
 
     @cached_property
-    def _lens_cells(self) -> tuple[int, int]:
+    def _lens_cells(self) -> Shape:
         """Numbers of cells of a lens along both sides of `aperture_point`."""
         camera = self._camera
         most = _WIDE / 2 if camera.lattice.aperture == "circle" else _WIDE

@@ -19,7 +19,7 @@ from scipy.special import erf
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_module
-from ...runtime import Array, set_variant
+from ...runtime import Array, Named, set_variant
 from .observations import Board
 
 # Lenses of which a position of the view is the mean.
@@ -146,7 +146,7 @@ def board_scene(
     rotation = Rotation.from_rotvec(pose[:3]).as_matrix()
     squares = np.array([board.columns + 1, board.rows + 1])
 
-    def shining(radiance: Any, margin: float, back: float) -> dict[str, Any]:
+    def shining(radiance: Any, margin: float, back: float) -> Named:
         # The rectangle's front is its own +z: turned to the board's -z, which turns its y, too.
         half = (squares / 2 + margin) * board.square
         matrix = np.eye(4)

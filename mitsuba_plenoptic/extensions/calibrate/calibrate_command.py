@@ -278,10 +278,12 @@ def _stop_image(picture: Path, dark: Path | None, nominal: PlenopticCamera, outp
     """Fit a microscope in the Fourier arrangement to a white picture; print and write what is found."""
     from ...runtime import write_text
     from .stop_fit import NUMBERS, fit_stop
-    from .white_frames import sensor_pictures
+    from .white_frames import clipped, sensor_pictures
 
     light, black = sensor_pictures(picture, dark=dark)
     with naming(picture):
+        is_raw = picture.suffix.lower() in choices.RAW_SUFFIXES
+        refuse_if(is_raw and clipped("white", light).any(), "white: it is overexposed")
         fit = fit_stop(light if black is None else light - black, nominal)
     record = {"deviations": fit.deviations, "residual": fit.residual}
     write_text(output, json.dumps({**fit.camera.to_dict(), "calibration": record}, indent=1) + "\n", ".json")

@@ -16,7 +16,7 @@ import numpy as np
 from ...camera import PlenopticCamera, camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
 from ...lenses import undistort
-from ...runtime import Array, write_text
+from ...runtime import Array, Named, write_text
 from .board_model import camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
@@ -104,7 +104,7 @@ def lens_index(record: Any) -> LensIndex | None:
     return LensIndex(float(odd_rows), int(row_sign), first)
 
 
-def libpleno_camera(values: dict[str, Any]) -> PlenopticCamera:
+def libpleno_camera(values: Named) -> PlenopticCamera:
     """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
     COMPOTE distorts the image point of a board's corner; a ray is distorted here in the plane of the microlens array.

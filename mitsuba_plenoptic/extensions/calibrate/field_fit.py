@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...runtime import Array, Progress, exponents, monomials
+from ...runtime import Array, Named, Progress, exponents, monomials
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -304,7 +303,7 @@ class WhiteRecording:
                 change = np.split(solved(equations[0] + equations[1], 1e-3), [12, 12 + terms])
         for name, step in zip(NUMBERS, change[0][1:], strict=True):
             field.coefficients[name][:1] += step
-        coefficients: dict[str, Any] = dict(zip(SHAPE, change[1:], strict=True))
+        coefficients: Named = dict(zip(SHAPE, change[1:], strict=True))
         self.model.shape = replace(self.model.shape, **coefficients)
 
     @property

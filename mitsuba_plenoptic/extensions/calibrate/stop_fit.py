@@ -82,7 +82,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     deviations = residual * np.sqrt(np.diag(np.linalg.pinv(fit.jac.T @ fit.jac)).clip(0))
     values, residual = fit.x, residual / abs(float(fit.x[8]))
     refuse_if(
-        residual > 0.1,
+        not (residual <= 0.1 and values[6:9].min() > 0),
         f"white: it differs by {residual:.1%} of its light from micro-images behind {lens.label} (at most 10%): it is "
         "no white picture, or not by this camera",
     )
@@ -160,8 +160,14 @@ class _WhiteModel:
         """Return numbers of cameras with other pitches, rotations and offsets than the known one, likeliest first."""
         camera = self._camera
         white = self._white - np.quantile(self._white, 0.02)
-        stop = np.array([white.sum(0) @ self._x, white.sum(1) @ self._y]) / white.sum()
-        rest = [*stop, self._lens.blur_diameter(0) / 2, self._half, np.quantile(self._white, 0.9), 0.0, 1.0, 0.0]
+        across, up, total = white.sum(0), white.sum(1), white.sum()
+        stop = np.array([across @ self._x, up @ self._y]) / total
+        # Mean squares of discs of discs, and the light of lenses that are as many as fit the stop's image.
+        square = (across @ (self._x - stop[0]) ** 2 + up @ (self._y - stop[1]) ** 2) / total
+        radius, bright = math.sqrt(max(2 * square - self._half**2, self._half**2)), np.quantile(self._white, 0.9)
+        area = total / bright * self._sample**2 * float(camera.lattice.cell_area) / (math.pi * radius**2)
+        half = math.sqrt(area / (4 if self._lens.field_stop_shape == "square" else math.pi))
+        rest = [*stop, radius, half, bright, 0.0, 1.0, 0.0]
         result = []
         for turn in camera.mla_rotation + np.linspace(-5, 5, 5):
             basis = np.array(camera.replace(mla_rotation=float(turn)).lattice.basis)
@@ -182,7 +188,7 @@ class _WhiteModel:
         index = lattice.lenses_within(tuple(around - far), tuple(around + far))
         centres = np.stack(lattice.centre(*index.T.astype(float)), -1) - first
         aside = lattice.aperture_grid(self._points)
-        reach = float(lattice.aperture_reach)
+        reach, defocus = float(lattice.aperture_reach), 1 - camera.reduced_distance / camera.reduced_focal_lengths[0]
         image = np.full(self._white.shape, background)
         wide = abs(half) + 4 * self._sample * (abs(blur) + 1)
         edge = self._sample * math.sqrt(blur**2 + 1 / 12)
@@ -191,7 +197,10 @@ class _WhiteModel:
             inset = radius - math.hypot(x, y)
             if abs(inset) < reach:
                 inside = (radius - np.hypot(x + aside[0], y + aside[1])) * (self._points / 2 / reach)
-                lit = float((inside + 0.5).clip(0, 1).mean())
+                inside = (inside + 0.5).clip(0, 1)
+                lit = float(inside.mean())
+                # Out of focus, light of a part of a lens is beside that of the whole.
+                centre = centre + defocus * (aside @ inside) / max(inside.sum(), 1)
             else:
                 lit = float(inset > 0)
             sine = math.hypot(x, y) * lens.magnification / (lens.last_focal_length * lens.immersion)

@@ -10,7 +10,7 @@ from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...io import Capture
 from ...plugins.other_camera import with_camera
-from ...runtime import Array, Pair, drjit_array
+from ...runtime import Array, Pair, Shape, drjit_array
 from ...scene import plenoptic_sensor, render_capture
 from ...views import FirstHits
 from ..onchip.disparity import blur_radius
@@ -21,7 +21,7 @@ _STOPPED = 32.0
 """Factor by which the main lens is stopped down for pictures that are all in focus."""
 
 
-def pictures_of(capture: Capture, layout: tuple[int, int], name: str) -> dict[str, Array]:
+def pictures_of(capture: Capture, layout: Shape, name: str) -> dict[str, Array]:
     """Return the pictures of a capture's photodiodes, named like ``ray_left``."""
     halves = dual_pixel(capture, layout)
     names = photodiode_names(halves)

@@ -25,7 +25,7 @@ from ...errors import (
 )
 from ...io import require_quantities
 from ...presets import PRESETS
-from ...runtime import DEFAULT_VARIANT, Named, read_yaml
+from ...runtime import DEFAULT_VARIANT, Named, Shape, read_yaml
 from ...scene import MOST_SAMPLES, UNITS
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
@@ -115,7 +115,7 @@ class Recipe:
     ray: Mapping[str, Any]
     wave: Mapping[str, Any]
     truth: tuple[str, ...]
-    photodiodes: tuple[int, int] | None
+    photodiodes: Shape | None
     samples_per_shard: int
     content: Mapping[str, Any]
 

@@ -18,7 +18,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
 from ...points import CaptureOperator, derivatives
-from ...runtime import Array
+from ...runtime import Array, Named
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
 Shape = tuple[int, ...]
@@ -249,7 +249,7 @@ class CameraValue:
     def vjp(self, gradient: Array, needed: Sequence[bool]) -> list[Array | None]:
         """Return the gradients with respect to weights and parameters; see `Value`."""
         names = [name for name, is_needed in zip(self.names, needed[1:], strict=True) if is_needed]
-        total: dict[str, Any] = dict.fromkeys(names, 0.0)
+        total: Named = dict.fromkeys(names, 0.0)
         if names:
             columns = _columns(self.operator, self.weights)
             channels = _columns(self.operator, gradient, 1)

@@ -9,7 +9,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
 from ...fields import OpticalSystem
 from ...points import CaptureOperator, check_positions, chosen_accuracy
-from ...runtime import Doubles, Floats
+from ...runtime import Doubles, Floats, Named
 from .differentiable import RayRefocus
 
 Gradient = dict[str, Doubles]
@@ -46,7 +46,7 @@ class Spreads:
         if self._system is None or self._system.camera != camera:
             self._system = OpticalSystem(camera.at_wavelength(self.wavelength), self.wavelength)
         # A step from a point far away may lead across infinity.
-        options: dict[str, Any] = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
+        options: Named = {"accuracy": self._accuracy, "method": self._method, "virtual": points is not None}
         for point in self.points if points is None else points:
             yield CaptureOperator(camera, [point], wavelength=self.wavelength, system=self._system, **options)
 

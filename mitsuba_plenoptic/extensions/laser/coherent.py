@@ -14,7 +14,7 @@ from ...errors import refuse_if
 from ...fields import Chain, OpticalSystem, retained_workspace
 from ...lenses import MainLens
 from ...points import Arrival, Footprint, SampledField, footprint, grids_around, intensity, to_array, to_detector
-from ...runtime import Doubles, Field, Floats, Integers, active_backend, check_memory, fft
+from ...runtime import Doubles, Field, Floats, Integers, Shape, active_backend, check_memory, fft
 from .carriers import PupilGrid
 from .nonuniform import POINT_BYTES
 from .pupil_sums import Layer, carrier_type, layers
@@ -97,7 +97,7 @@ class CoherentFields:
         on = to_detector(self.system, self.grids).links if plane == "detector" else ()
         return Chain([to_array(self.system.camera, self.system.wavelength, step), *on])
 
-    def shape(self, plane: str) -> tuple[int, int]:
+    def shape(self, plane: str) -> Shape:
         """Return the rows and columns of the samples in a plane."""
         return (self.grids.wide_pupil,) * 2 if plane == "pupil" else self.grids.shape
 

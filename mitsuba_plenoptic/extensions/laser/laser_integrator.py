@@ -11,7 +11,7 @@ from ...fields import OpticalSystem
 from ...optics import Spectrum, guards
 from ...plugins import properties, wave_base
 from ...points import CaptureOperator, scene_points
-from ...runtime import Floats, Job
+from ...runtime import Floats, Job, Named
 from ...scene import with_objects
 from .lit_points import LaserScene, LitPoints, named_lasers
 from .modes import mode_count
@@ -146,7 +146,7 @@ def make_class() -> type:
             """Return None, as laser light has one wavelength."""
             return None
 
-        def parameters(self) -> dict[str, Any]:
+        def parameters(self) -> Named:
             """Return the parameters of this integrator by name, as for ``mi.load_dict``."""
             return {
                 "lasers": ", ".join(self.lasers),

@@ -11,13 +11,12 @@ import math
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ...errors import LONGEST, InputError, naming, short_repr, warn
 from ...prescription import Glass, Prescription
-from ...runtime import require_size
+from ...runtime import Named, require_size
 
 UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}
 """Millimetres in a unit of length."""
@@ -98,7 +97,7 @@ class DesignSurface:
     parameters: list[Line] = field(default_factory=list)
     """Of Zemax: the type, and lines that mean what the type says."""
 
-    def to_plain(self, unit: float) -> dict[str, Any]:
+    def to_plain(self, unit: float) -> Named:
         """Return the surface as plain data of `Surface.from_plain`, in mm of which `unit` are one of the file."""
         terms = [term * unit ** -(2 * order + 3) for order, term in enumerate(self.asphere)]
         return {

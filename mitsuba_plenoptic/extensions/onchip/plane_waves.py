@@ -32,7 +32,7 @@ from ...errors import refuse_if
 from ...fields import OpticalSystem
 from ...optics import in_millimetres
 from ...rays import Walk
-from ...runtime import Doubles, Flags, Integers, drjit_array, single_threaded_blas
+from ...runtime import Doubles, Flags, Integers, Shape, drjit_array, single_threaded_blas
 
 NEAR = 5
 """Lenses across the window of the near table."""
@@ -67,7 +67,7 @@ def pixels_per_lens(camera: PlenopticCamera) -> int:
     return count
 
 
-def lens_range(camera: PlenopticCamera, count: int, axis: int) -> tuple[int, int]:
+def lens_range(camera: PlenopticCamera, count: int, axis: int) -> Shape:
     """Return the range of lattice indices of the lenses with recorded pixels along an axis: first, and last plus 1."""
     first = camera.crop_offset[axis] - camera.resolution[axis] // 2
     return first // count, -(-(first + camera.shape[1 - axis]) // count)

@@ -8,6 +8,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ...report import METHOD_TITLES, Experiment, metrics, pages
+from ...runtime import Named
 
 CONFIRMED = "confirmed"
 PARTLY = "partly"
@@ -51,7 +52,7 @@ class Claim:
     remark: str
 
 
-def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> pages.Section:
+def claims_section(claims: Sequence[Claim], measured: Named) -> pages.Section:
     """Return the part of the report with the conclusions, and the interference that they rest on."""
     texts = Markup('<div><p class="statement">{}</p><p>{}</p><p class="note">{}</p></div>')
     items = [
@@ -80,7 +81,7 @@ def claims_section(claims: Sequence[Claim], measured: dict[str, Any]) -> pages.S
 
 
 def check_claims(
-    experiment: Experiment, measured: dict[str, Any], seconds: dict[str, float] | None, near: str, far: str
+    experiment: Experiment, measured: Named, seconds: dict[str, float] | None, near: str, far: str
 ) -> list[Claim]:
     """Return verdicts on the paper's conclusions, from the letters, `measure`, and seconds on one core by method.
 
@@ -183,7 +184,7 @@ def check_claims(
     ]
 
 
-def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict[str, Any]]:
+def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[Named]:
     """Return this package's seconds beside the paper's, with their ratio where the detectors are alike."""
     same = experiment.camera.resolution == PAPER_RESOLUTION
     return [
@@ -197,7 +198,7 @@ def timing_table(experiment: Experiment, seconds: dict[str, float]) -> list[dict
     ]
 
 
-def timing_section(experiment: Experiment, rows: Sequence[dict[str, Any]]) -> pages.Section:
+def timing_section(experiment: Experiment, rows: Sequence[Named]) -> pages.Section:
     """Return the part of the report with the rows of `timing_table`."""
     columns = {"Method": "{title}", "Seconds": "{seconds:.3g}", "Paper": "{paper_seconds:g}"}
     caption = "Ours: processor time, the shorter of two runs."
@@ -246,7 +247,7 @@ def _times(seconds: dict[str, float]) -> list[Claim]:
     ]
 
 
-def _in_letters(rows: list[dict[str, Any]], reading: str) -> str:
+def _in_letters(rows: list[Named], reading: str) -> str:
     values = (
         f"{row[reading]:.1%} in the letter at {row['shape_distance']:g} mm refocused to {row['distance']:g} mm"
         for row in rows
@@ -258,6 +259,6 @@ def _both(values: list[float], form: str = ".1%") -> str:
     return " and ".join(format(value, form) for value in values)
 
 
-def _row(rows: list[dict[str, Any]], **values: Any) -> dict[str, Any]:
+def _row(rows: list[Named], **values: Any) -> Named:
     """Return the first row of a table that has the given values."""
     return next(row for row in rows if all(row[name] == value for name, value in values.items()))

@@ -4,7 +4,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from ...report import (
     windows,
     write_report,
 )
-from ...runtime import Array
+from ...runtime import Array, Named
 from .claims import PAPER_SECONDS, check_claims, claims_section, timing_section, timing_table
 from .paper_limits import check_limits, plain_seconds
 from .procedures import figure_1, figure_3
@@ -73,7 +72,7 @@ PRESETS = {
 }
 
 
-def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> dict[str, Any]:
+def reproduce(output: Path, *, preset: str = "quick", stages: StageOptions | None = None) -> Named:
     """Make the paper's figures, its timing comparison and its conclusions, with a report.
 
     The wave capture is made from signed rays, and again point by point, as in the paper; the report states their

@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
 from ...errors import InputError, put, put_checked, refuse_if, refusing, require_choice, require_length, require_number
-from ...runtime import MILLIMETRES, Doubles, as_array, require_file, require_units
+from ...runtime import MILLIMETRES, Doubles, Named, as_array, require_file, require_units
 from .seeding import PLACE
 
 _AXES = ("x", "y", "z")
@@ -73,7 +72,7 @@ class Vortex(Flow):
     def __post_init__(self) -> None:
         # A vortex's first field is its strength, and the second its size.
         strength, size, *_ = (field.name for field in fields(self))  # type: ignore[arg-type]
-        rules: dict[str, Any] = {strength: _SPEED, size: require_length}
+        rules: Named = {strength: _SPEED, size: require_length}
         put_checked(self, **rules, axis=_AXIS, centre=PLACE)
 
     def velocity(self, points: Doubles) -> Doubles:

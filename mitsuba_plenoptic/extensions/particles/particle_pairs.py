@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import put_checked, refuse_if, require_choice, require_number
 from ...io import Capture
-from ...runtime import Array
+from ...runtime import Array, Named
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
 from .seeding import ParticleVolume, Seeding, Window
@@ -65,7 +65,7 @@ class ParticlePairs:
         kind = FLOWS[self.flow]
         # Velocities are proportional to the first one; the second one of a vortex is its size.
         names = [field.name for field in fields(kind)]
-        values: dict[str, Any] = {}
+        values: Named = {}
         if self.flow == "uniform":
             values["speed"] = tuple(random.normal(size=3))
         else:

@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if
-from ...runtime import Array, Named
+from ...runtime import Array, Named, Shape
 from ..calibrate.array_fit import ArrayFit, places
 from ..calibrate.field_fit import FieldNumbers, pixels_of_cells
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -116,7 +116,7 @@ class PartPixels:
     """
 
     lens: Array
-    lenses: tuple[int, int]
+    lenses: Shape
     shift: Array
     pixel: Array
     lens_of: Array

@@ -7,7 +7,6 @@ elements before one lens stand for all, and a plane has as many bins as the part
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -16,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...points import CaptureOperator, ray_spread
-from ...runtime import Array
+from ...runtime import Array, Named
 from .array_part import ArrayPart
 
 _WIDEST = 14.0
@@ -92,7 +91,7 @@ def _regular(part: ArrayPart, lenses: int) -> PlenopticCamera:
     pupil = None
     if camera.vignetting is not None:
         here = camera.vignetting.at(*part.middle)
-        numbers: dict[str, Any] = {name: [float(value)] for name, value in here.items()}
+        numbers: Named = {name: [float(value)] for name, value in here.items()}
         pupil = replace(camera.vignetting, **numbers)
     pitch = camera.row_pitch
     first = camera.lattice.unit_centre(0, 0)

@@ -29,7 +29,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
-from ...runtime import read_text, require_memory, require_size, turn
+from ...runtime import Named, read_text, require_memory, require_size, turn
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -190,7 +190,7 @@ def _sections(content: bytes) -> Iterator[tuple[str, bytes]]:
             position += 1
 
 
-def _json(data: bytes) -> dict[str, Any]:
+def _json(data: bytes) -> Named:
     def refuse(constant: str) -> NoReturn:
         raise ValueError(f"{constant} is no number")
 
