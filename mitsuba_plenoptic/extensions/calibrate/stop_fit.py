@@ -63,8 +63,8 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     white : (rows, columns) array
         Values of the sensor less its black level, proportional to light.
     camera : PlenopticCamera
-        The camera as it is known. The pitch may be off by 4 %, the rotation by 5 degrees, the aperture and the field
-        stop by a fifth; nothing need be known of `mla_offset`.
+        The camera as it is known. The pitch may be off by 3 %, the rotation by 5 degrees, the aperture and the field
+        stop by a fifth; of `mla_offset` nothing need be known.
 
     Raises
     ------
