@@ -189,7 +189,9 @@ def make_class() -> type:
         def __init__(self, props: Any):
             super().__init__(props)
             self._read_spectrum(props)
-            self.method = require_choice(f"{NAME}: method", props.get("method", SIGNED_RAYS), (SIGNED_RAYS, POINTS))
+            self.method = require_choice(
+                f"{NAME}: method", read_plain(props, "method", SIGNED_RAYS), (SIGNED_RAYS, POINTS)
+            )
             self.accuracy = require_accuracy(read_plain(props, "accuracy", DEFAULT_ACCURACY), f"{NAME}: accuracy")
             self.read_child(props)
 

@@ -53,10 +53,11 @@ def test_pages_can_be_pasted_from_their_top(page):
         if kind == "python":
             code += text
             written |= set(re.findall(r"""["'](\S+\.\w+)["']""", text))
-        lines = re.findall(r"^\$ mitsuba-plenoptic \w+ (.*)$", text, flags=re.MULTILINE)
+        lines = re.findall(r"^\$ mitsuba-plenoptic (.*)$", text, flags=re.MULTILINE)
         for line in lines if kind == "console" else ():
             words = shlex.split(line, comments=True)
-            outputs = {following for word, following in pairwise(words) if word in ("-o", "--output", "--microlens")}
+            options = {"-o", "--output", "--microlens"} | ({"--white"} if words[0] == "render" else set())
+            outputs = {following for word, following in pairwise(words) if word in options}
             read = {word for word in words if re.fullmatch(r"[\w./]+\.(exr|tiff?|png|json|yaml|xml|nc|zarr|pdf)", word)}
             # Several distances make out_210.exr of out.exr.
             stems = {re.sub(r"_[\d.]+(?=\.)", "", word): word for word in read - outputs - written}
