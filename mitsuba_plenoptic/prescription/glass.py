@@ -220,8 +220,8 @@ def catalogue_glass(
 
     The usual glasses of SCHOTT, by the Sellmeier coefficients of its data sheets, and fused silica (Malitson, J. Opt.
     Soc. Am. 55, 1205 (1965)) are in a table of the package. Further catalogues are those of refractiveindex.info
-    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals; for an older one of
-    SCHOTT, such as SK16, stands the glass `stated` or, with a warning, the successor N-SK16.
+    included in Optiland, the extra ``lenses``. The name must match exactly, except for capitals. For an older
+    name of SCHOTT, such as SK16, the glass `stated` is returned or, with a warning, the successor N-SK16.
     """
     maker, _, glass = name.rpartition(":")
     if maker:
@@ -253,7 +253,7 @@ def catalogue_glass(
         raise InputError(f"{where} = {short_repr(name)}: {', '.join(chosen)} have one: write {chosen[0]}:{glass}")
     if successor and not chosen:
         if stated is None:
-            warn(f"{where} = {name}: its successor {successor.name}, of a little other index, stands for it")
+            warn(f"{where} = {name}: its successor {successor.name}, of a slightly different index, stands in for it")
         return stated or successor
     if not chosen:
         searched = "no catalogue has" if makers is None else f"{', '.join(makers)}: no such catalogue has"

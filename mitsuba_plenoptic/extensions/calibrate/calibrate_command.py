@@ -245,7 +245,7 @@ def white(
         require_output(path, picture, dark)
     nominal, _ = inputs.load_camera(camera, {})
     if nominal.lens_data.images_stop:
-        refuse_if(report is not None, f"--report = {report}: there is no page of the Fourier arrangement")
+        refuse_if((report or wavelength) is not None, "--report, --wavelength: not for the Fourier arrangement")
         _stop_image(picture, dark, nominal, output)
         return
     from . import white_result

@@ -102,7 +102,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     offset -= (full / 2 - before - size / 2) * camera.pixel_size
     aperture, stop = radius * lens.magnification / lens.last_focal_length, half / model.scale
     fitted = camera.replace(
-        main_lens=replace(lens, numerical_aperture=float(aperture), field_stop=float(stop)),
+        main_lens=replace(lens, numerical_aperture=aperture, field_stop=stop),
         **array,
         mla_offset=tuple(offset.tolist()),
         resolution=tuple(full.tolist()),

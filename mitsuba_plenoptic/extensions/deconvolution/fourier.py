@@ -66,7 +66,7 @@ class FourierResponse(StoredResponse):
         if lens.field_stop is not None and cut > lens.field_stop / 2:
             warn(
                 f"distance = {deepest:g}: beyond depths of {deepest * lens.field_stop / 2 / cut:.2g} mm the field stop "
-                "cuts light of other lenses off the axis than in the middle, whose response counts"
+                "cuts the light of bins by their place; the response is that of the bin in the middle"
             )
         fine = fine_camera(camera, wavelength, deepest, oversample, beyond=1)
 
