@@ -16,7 +16,7 @@ def compare(
     scene: Annotated[str, options.SCENE] | None = None,
     *,
     output: options.OutputFolder,
-    distance: list[options.PositiveOrInfinite] | None = None,
+    distance: options.Distances | None = None,
     wavelength: options.Wavelength | None = None,
     spp: options.Count = 16,
     methods: str = "ray,coherent,partial,incoherent,deconvolved",

@@ -276,6 +276,10 @@ class FullFieldPlan:
         weights = self._pupil_weights and self._pupil_weights.take(np.array([point]))
         return _FullField(self._system, self._points[point], factors, weights)
 
+    def cost(self, point: int) -> int:
+        """Return the number of samples of the field of a point on the detector."""
+        return math.prod(field_grids(self._system, self._points[point], 1.0, 1.0).count)
+
     @property
     def box(self) -> Box:
         """Box of the recorded pixels."""

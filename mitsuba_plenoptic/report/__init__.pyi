@@ -17,8 +17,6 @@ from .experiment import Experiment as Experiment
 from .experiment import Settings as Settings
 from .experiment import methods_of_both as methods_of_both
 from .experiment import open_store as open_store
-from .experiment import photograph as photograph
-from .experiment import photographic_sensor as photographic_sensor
 from .experiment import refocused as refocused
 from .experiment import run_experiment as run_experiment
 from .installation import inspect_installation as inspect_installation
@@ -36,6 +34,10 @@ from .output_files import write_orbit as write_orbit
 from .output_files import write_reconstructions as write_reconstructions
 from .output_files import write_stack as write_stack
 from .output_files import write_views as write_views
+from .photographs import objective_image as objective_image
+from .photographs import photograph as photograph
+from .photographs import photographic_sensor as photographic_sensor
+from .photographs import telecentric_rays as telecentric_rays
 from .sheet import Row as Row
 from .sheet import design_sheet as design_sheet
 from .sheet import lens_sheet as lens_sheet

@@ -152,7 +152,7 @@ _COHERENT = ("coherent", "partial")
 
 
 def measure(experiment: Experiment) -> Named:
-    """Return comparisons of the captures, and of the reconstructions with the thin lens and the one-lens limit."""
+    """Return comparisons of the captures, and of the reconstructions with the ideal lens and the one-lens limit."""
     ray = experiment.ray.image
     wave = experiment.wave.image
     points = None
@@ -228,7 +228,7 @@ def _edges(experiment: Experiment) -> list[Named]:
         # Ids of the chart's squares, which are slanted edges, begin so.
         if not name.startswith("edge_") or distance not in experiment.settings.distances:
             continue
-        scale = camera.mla_distance / (low[2] * camera.row_pitch)
+        scale = 1 / camera.bin_size(low[2])
         column, row = (camera.bin_count[axis] / 2 - (low[axis] + high[axis]) / 2 * scale for axis in (0, 1))
         bin_size = camera.bin_size(distance)
         side = float(high[0] - low[0]) / (math.cos(EDGE_TILT) + math.sin(EDGE_TILT)) * scale
@@ -258,11 +258,11 @@ def draw_comparison(
     }
     figure_grid(folder / "methods.png", experiment, metrics)
     captions = {
-        "methods.png": "All methods next to the thin lens. One bin a pixel shows a grid where the image is out of "
+        "methods.png": "All methods next to the ideal lens. One bin a pixel shows a grid where the image is out of "
         "focus: neighbouring pixels go to bins several apart, and how many meet in one changes from bin to bin. The "
         "lens footprint, which is right there, spreads each pixel over what its lens sees."
         if any(method.name == "ray_point" for method in experiment.settings.methods)
-        else "All methods next to the thin lens.",
+        else "All methods next to the ideal lens.",
         "captures.png": "Micro-images by rays and by waves, and their difference.",
     }
     camera = experiment.camera
@@ -297,7 +297,7 @@ def draw_comparison(
 
 @styled
 def figure_grid(path: Path, experiment: Experiment, notes: Mapping[tuple[str, float], str]) -> None:
-    """Draw the thin lens, then a row for each method, of both captures at up to two distances, with notes."""
+    """Draw the ideal lens, then a row for each method, of both captures at up to two distances, with notes."""
     rows: dict[str, dict[str, RefocusMethod]] = {"": {"ray": RefocusMethod("truth", METHOD_TITLES["truth"], {})}}
     for method in experiment.settings.methods:
         rows.setdefault(str(method.options), {})[method.source] = method

@@ -84,9 +84,12 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
     camera = experiment.camera
     captures = measured["captures"]
     spot = design.spot_radius(camera, experiment.settings.wavelength) / camera.pixel_size
+    disc = "disc is the aperture of the main lens as one microlens images it"
+    if camera.objective is not None:
+        disc = "micro-image is the object within the field stop, seen from the direction of its lens"
     text = (
-        "Every disc is the aperture of the main lens as one microlens images it. Rays give it sharp edges, waves blur "
-        f"it by diffraction at the microlens: {spot:.2g} pixels from the middle of a spot to its first zero. The two "
+        f"Every {disc}. Rays give it sharp edges, waves blur it by diffraction at the microlens: {spot:.2g} pixels "
+        "from the middle of a spot to its first zero. The two "
         f"captures differ by {captures['relative_error']:.0%} (root mean square, relative), {captures['psnr']:.1f} dB."
     )
     all_pixels, middle, rim = captures["difference"].values()
@@ -123,7 +126,7 @@ def _numbers(measured: Mapping[str, Any]) -> list[Block]:
                 "Interference": "{interference:.1%}",
             },
             sorted(rows, key=lambda row: float(row["distance"])),
-            "Reconstructions against the thin lens. PSNR and SSIM after one scale per method; energy before it: light "
+            "Reconstructions against the ideal lens. PSNR and SSIM after one scale per method; energy before it: light "
             "that diffraction carries out of the aperture's image is left out of the reconstructions. Interference: "
             "distance from the limit in which no two lenses interfere, over all that is lit.",
             words=2,
@@ -155,7 +158,7 @@ def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[st
         ("Wavelength", f"{experiment.light} nm"),
         ("Samples per pixel, ray and wave capture", f"{settings.spp}"),
         (f"Wave capture against {settings.points} points per lens, each propagated by itself", apart),
-        ("Samples per pixel, thin lens", f"{settings.truth_spp}"),
+        ("Samples per pixel, ideal lens", f"{settings.truth_spp}"),
         ("Scene", settings.scene),
         ("Camera instead of the scene's", settings.camera_name),
         *((f"Scene parameter {name}", value) for name, value in sorted(settings.parameters.items())),

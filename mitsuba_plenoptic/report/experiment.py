@@ -14,105 +14,20 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 import numpy as np
 
-from ..camera import PlenopticCamera
+from ..camera import PlenopticCamera, Use, is_supported, require_support
 from ..capture_spec import CaptureSpec
 from ..choices import Against
-from ..errors import LONGEST, naming, refuse_if, require_choice
+from ..errors import naming, refuse_if, require_choice
 from ..extension import hook
 from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, header_of, reconstruct, require_distances
-from ..runtime import Array, Named, Progress, Shape, in_words
-from ..scene import pass_counts
+from ..runtime import Array, Named, Progress, in_words
 from .images import luminance
+from .photographs import pinhole_image, thin_lens_image
 
 _log = logging.getLogger(__name__)
-
-
-def thin_lens_image(
-    scene: Any, camera: PlenopticCamera, distance: float, spp: int, oversample: int = 1, pixel_format: str = "luminance"
-) -> Array:
-    """Return the image of a thin lens with the camera's aperture, focused at `distance`, one pixel per bin.
-
-    Reconstructions of the same distance have the same bins, and can be compared with the image bin by bin.
-
-    Parameters
-    ----------
-    scene : mitsuba.Scene
-        The scene.
-    camera : PlenopticCamera
-        The camera; its main lens is taken as ideal.
-    distance : float
-        Distance of the plane in focus, in millimetres.
-    spp : int
-        Samples per pixel.
-    oversample : int
-        Bins per lens along each axis.
-    pixel_format : {"luminance", "rgb"}
-        What the film records.
-    """
-    columns, rows = camera.bin_count
-    # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
-    spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
-    sensor = photographic_sensor(
-        scene,
-        camera,
-        (columns * oversample, rows * oversample),
-        pixel_format,
-        type="thinlens",
-        aperture_radius=camera.aperture_radius,
-        focus_distance=min(distance, LONGEST),
-        **spread,
-    )
-    return photograph(scene, sensor, spp)
-
-
-def pinhole_image(
-    scene: Any, camera: PlenopticCamera, columns: int, spp: int, pixel_format: str = "luminance"
-) -> Array:
-    """Return the sharp image of the camera's field from the centre of its main lens, `columns` pixels wide."""
-    rows = round(columns * camera.bin_count[1] / camera.bin_count[0])
-    sensor = photographic_sensor(scene, camera, (columns, rows), pixel_format, type="perspective")
-    return photograph(scene, sensor, spp)
-
-
-def photographic_sensor(
-    scene: Any, camera: PlenopticCamera, size: Shape, pixel_format: str = "luminance", **lens: Any
-) -> Any:
-    """Return a Mitsuba sensor with the camera's field, at the position of the scene's first sensor."""
-    width = camera.bin_count[0] * camera.row_pitch
-    return mi.load_dict(
-        {
-            "to_world": mi.ScalarTransform4f(scene.sensors()[0].world_transform().matrix.numpy()[..., 0]),
-            # Mitsuba's own cameras see up to 10,000 units by default.
-            "far_clip": 1e12,
-            **lens,
-            "fov": math.degrees(2 * math.atan(width / (2 * camera.mla_distance))),
-            "film": {
-                "type": "hdrfilm",
-                "width": size[0],
-                "height": size[1],
-                "rfilter": {"type": "box"},
-                "pixel_format": pixel_format,
-                "component_format": "float32",
-            },
-        }
-    )
-
-
-def photograph(scene: Any, sensor: Any, spp: int) -> Array:
-    """Return a picture by rays (rows, columns[, 3]), rendered in passes of bounded size."""
-    columns, rows = sensor.film().crop_size()
-    integrator = scene.integrator()
-    # A wave integrator's child sees the scene by rays.
-    integrator = getattr(integrator, "child", integrator)
-    total = np.zeros((rows, columns, sensor.film().base_channels_count()))
-    counts = pass_counts(sensor, spp, max(1, 2**24 // (columns * rows)))
-    for index, count in enumerate(counts):
-        image = mi.render(scene, sensor=sensor, integrator=integrator, spp=count, seed=index)
-        total += count / sum(counts) * np.array(image, dtype=np.float64)
-    return total[..., 0] if total.shape[2] == 1 else total
 
 
 OBJECT_COLUMNS = 1024
@@ -166,7 +81,7 @@ _STEPS = {"incoherent": 1.5, "deconvolved": 30.0}
 """Seconds of two cores, by method, for a million pixels at a distance, or the steps with a response, which has one."""
 
 METHOD_TITLES = {
-    "truth": "Thin lens (truth)",
+    "truth": "Ideal lens (truth)",
     **{method.name: method.title for method in (*methods_of_both(tuple(_METHODS)), *COMPARED_METHODS)},
 }
 
@@ -335,11 +250,12 @@ def run_experiment(
             refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
             # First without the array, which says of some main lenses that they need one.
             twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
-    refuse_if(
-        camera.objective is not None,
-        f"main_lens = {camera.lens_data.label}: scenes are compared behind other main lenses; use render with --model "
-        "ray and wave, and reconstruct with --method deconvolved",
-    )
+
+    require_support(camera, Use.RAY_REFOCUSING)
+    if not is_supported(camera, Use.FIELDS):
+        _log.info("coherent, partial: they are left out, as no wave goes back behind %s", camera.lens_data.label)
+        kept = [method for method in settings.methods if method.options["method"] not in ("coherent", "partial")]
+        settings = replace(settings, methods=tuple(kept))
 
     # Rays first, then waves, whose first results are shown before all that takes longer.
     methods = sorted(settings.methods, key=lambda method: ("ray_of_ray", "partial", method.name).index(method.name))
@@ -382,11 +298,16 @@ def run_experiment(
     images: Images = {}
     sources = {"ray": (ray, ray_key)}
 
+    # Spreads behind an objective are known by waves alone.
+    by_rays_alone = ("ray", "deconvolved") if camera.objective is None else ("ray",)
+
     def refocus(*names: str) -> None:
         for method in (method for method in methods if method.name in names):
             options = method.options
-            if method.source == "ray" and options["method"] not in ("ray", "deconvolved"):
+            if method.source == "ray" and options["method"] not in by_rays_alone:
                 options = options | {"wavelength": wave.wavelength}
+                if options["method"] == "deconvolved":
+                    options["response"] = "wave"
             for together in groups[method.name]:
                 results = refocused(store, method.name, *sources[method.source], together, options)
                 images.update({(method.name, distance): image for distance, image in results.items()})

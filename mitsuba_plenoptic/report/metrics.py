@@ -11,6 +11,7 @@ import scipy
 import skimage.metrics
 
 from ..camera import PlenopticCamera
+from ..design import native_field
 from ..fields import clear
 from ..io import Capture
 from ..runtime import Array, Named, as_array
@@ -135,7 +136,7 @@ def shape_window(camera: PlenopticCamera, low: Array, high: Array) -> tuple[slic
     for axis in (1, 0):
         count = camera.bin_count[axis]
         # Image coordinates grow against the scene's.
-        ends = [-value * camera.mla_distance / (z * camera.row_pitch) + count / 2 for value in (high[axis], low[axis])]
+        ends = [-value / camera.bin_size(z) + count / 2 for value in (high[axis], low[axis])]
         span = slice(max(0, math.floor(ends[0])), min(count, math.ceil(ends[1])))
         if span.start >= span.stop:
             return None
@@ -245,8 +246,13 @@ def contrast_change(first: Array, second: Array, truth: Array) -> ContrastChange
 
 
 def middle_of_micro_images(camera: PlenopticCamera) -> Array:
-    """Return a mask (rows, columns) of pixels that see the main lens within four fifths of its radius."""
-    return white_image(clear(camera.replace(aperture_radius=0.8 * camera.aperture_radius))) > 0.5
+    """Return a mask (rows, columns) of pixels that see the main lens, or a field, within four fifths of its radius."""
+    lens = camera.objective
+    if lens is None:
+        return white_image(clear(camera.replace(aperture_radius=0.8 * camera.aperture_radius))) > 0.5
+    # In the Fourier arrangement micro-images are bounded by the field.
+    narrow = replace(lens, field_stop=0.8 * native_field(camera) * lens.magnification / 2)
+    return white_image(clear(camera.replace(main_lens=narrow))) > 0
 
 
 def _root(squares: float, reference: float) -> float:

@@ -47,7 +47,7 @@ def lit_window(images: Sequence[Array], *, fraction: float = 0.03, margin: float
     """Return the part of the field, symmetric about its middle, that contains the light of all images."""
     ends = []
     for image in images:
-        lit = np.argwhere(image > fraction * image.max())[:, :2]
+        lit = np.argwhere(image > fraction * np.nanmax(image))[:, :2]
         size = np.array(image.shape[:2])
         if lit.size:
             ends.append((np.abs([lit - size / 2, lit + 1 - size / 2]) / size).max(axis=(0, 1)))
@@ -59,7 +59,7 @@ def lit_window(images: Sequence[Array], *, fraction: float = 0.03, margin: float
 def brightest_zoom(experiment: Experiment) -> Zoom:
     """Return a close-up at the place where a capture has the most contrast from lens to lens."""
     camera = experiment.camera
-    columns, rows = camera.bin_count
+    columns, rows = (round(count * camera.pixel_size / camera.micro_image_pitch) for count in camera.resolution)
     of_lenses = experiment.ray.image
     for axis, count in enumerate((rows, columns)):
         of_lenses = np.stack([block.mean(axis) for block in np.array_split(of_lenses, count, axis)], axis)

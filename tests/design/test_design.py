@@ -13,7 +13,7 @@ import mitsuba_plenoptic as mp
 from mitsuba_plenoptic.camera import micrometres
 from mitsuba_plenoptic.design.quantities import crosstalk_lenses
 from mitsuba_plenoptic.presets import PRESETS
-from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.report.photographs import thin_lens_image
 
 # The paper's camera, whose lenses see the main lens's image 3 z before them, or behind them.
 KEPLERIAN = {"mla_distance": 121.536, "mla_focal_length": 0.384, "detector_distance": 0.512, "aperture_radius": 4.9}

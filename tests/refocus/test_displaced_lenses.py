@@ -10,7 +10,7 @@ from cases import facing, scene_of
 from mitsuba_plenoptic import Capture, PlenopticCamera, example, reconstruct, render_capture
 from mitsuba_plenoptic.refocus.displacement import PupilCentroid, brought_back, displacements, is_known
 from mitsuba_plenoptic.refocus.straight import straightened, straightened_image
-from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.report.photographs import thin_lens_image
 from mitsuba_plenoptic.views import white_image
 
 STRAIGHT = PlenopticCamera(**HALF, resolution=(192, 192), detector_width=0.768)

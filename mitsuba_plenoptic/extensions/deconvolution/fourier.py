@@ -86,12 +86,12 @@ class FourierResponse(StoredResponse):
         unit = np.ones(1, np.float32)
         batches = [plan.batch(plane, unit) for plane in range(len(distances))]
         self._spectra: list[fft.Field] = []
-        # A sample of a point spread takes 30 times as long as one of the transforms of an inversion's step; the unit is
-        # that of `Response`.
-        spread = 10 * math.prod(fine.resolution)
-        total = len(batches) * (spread + math.ceil(steps * oversample**2 * math.prod(self._size) / 3))
-        self.prepared = len(batches) * spread / total
-        for partial_sum in (job or Job()).each(batches, [spread] * len(batches), 0, total):
+        # A sample of a full field takes some 24 times as long as one of the transforms of an inversion's step; the unit
+        # is that of `Response`.
+        spreads = [8 * plan.cost(plane) for plane in range(len(distances))]
+        total = sum(spreads) + len(batches) * math.ceil(steps * oversample**2 * math.prod(self._size) / 3)
+        self.prepared = sum(spreads) / total
+        for partial_sum in (job or Job()).each(batches, spreads, 0, total):
             spectra = self._kernel_spectra(np.asarray(partial_sum.sums[0]), fine)
             self._spectra += self._stored([spectra], f"{len(self._spectra)}")
 

@@ -11,10 +11,10 @@ import numpy as np
 from ... import design
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...lenses import FourierLens, TelecentricLens
 from ...prescription import lens_data
-from ...report import photograph, photographic_sensor
+from ...report import objective_image, photograph, photographic_sensor, telecentric_rays
 from ...runtime import Array, Pair, Shape
+from ...scene import world_ray
 
 _FAR = 1e5
 """Distance in focal lengths that represents infinity."""
@@ -148,34 +148,19 @@ class MicroscopeView(LensView):
         return design.depth_of_field(self.camera)
 
     def take(self, scene: Any, size: Shape, spp: int) -> Array:
-        """Return the picture through an objective: the radiance averaged over the stop and over each pixel."""
-        integrator = scene.integrator()
-        # A wave integrator's child sees the scene by rays, and light that is traced from emitters finds no such camera.
-        integrator = getattr(integrator, "child", integrator)
-        if not isinstance(integrator, mi.SamplingIntegrator):
-            integrator = mi.load_dict({"type": "path"})
-        sampler = mi.load_dict({"type": "independent"})
-        channels = 3 if mi.is_rgb else 1
-        total = np.zeros((channels, *size[::-1]))
-        # Samples of a pixel side by side, in passes of bounded size.
-        together = max(1, min(spp, (2**22) // total[0].size))
-        passes = -(-spp // together)
-        x, y = (dr.repeat(middle, together) for middle in _pixel_centres(size))
-        for index in range(passes):
-            sampler.seed(index, dr.width(x))
-            jitter = sampler.next_2d()
-            stop = mi.warp.square_to_uniform_disk_concentric(sampler.next_2d())
-            position = x + (jitter.x - 0.5) / size[0], y + (jitter.y - 0.5) / size[1]
-            radius = self.camera.aperture_radius
-            rays, _ = self._rays(scene, position, (radius * stop.x, radius * stop.y))
-            light, valid = integrator.sample(scene, sampler, rays)[:2]
-            value = [dr.select(valid & (rays.maxt > 0), light[channel], 0.0).numpy() for channel in range(channels)]
-            total += np.array(value, dtype=np.float64).reshape(*total.shape, together).mean(axis=-1) / passes
-        return total[0] if channels == 1 else np.moveaxis(total, 0, -1)
+        """Return the picture through an objective, dark beyond the field stop."""
+        return np.nan_to_num(objective_image(scene, self.camera, 0.0, spp, size, self.field(0.0)[0] / size[0]))
 
     def sight(self, scene: Any, size: Shape) -> Pair:
         """Return rays parallel to the axis."""
-        return self._rays(scene, _pixel_centres(size), (mi.Float(0.0), mi.Float(0.0)))
+        # +x, to the left in the scene, is to the left in the picture.
+        x, y = ((0.5 - at) * extent for at, extent in zip(_pixel_centres(size), self.field(0.0), strict=True))
+        point, slope, is_open = telecentric_rays(self.camera, (x, y, 0.0), (mi.Float(0.0), mi.Float(0.0)))
+        sensor = scene.sensors()[0]
+        rays = mi.RayDifferential3f(world_ray(sensor, point, slope))
+        # The field stop, if there is one, ends rays where they start.
+        rays.maxt = dr.select(is_open, dr.inf, 0.0)
+        return rays, sensor.world_transform()
 
     def is_focused(self, distance: Array) -> Array:
         """Return a mask of depths whose blur in the object is at most a bin wide."""
@@ -191,20 +176,6 @@ class MicroscopeView(LensView):
     @property
     def _objective(self) -> Any:
         return self.camera.objective
-
-    def _rays(self, scene: Any, position: Pair, stop: Pair) -> Any:
-        """Return the rays through points of the native object plane and of the stop, in fractions of both."""
-        # The objective's picture is turned back, so that +x, to the left in the scene, is to the left in the picture.
-        width, height = (self._objective.magnification * extent for extent in self.field(0.0))
-        image = (position[0] - 0.5) * width, (position[1] - 0.5) * height
-        origin, slope, _ = TelecentricLens(self._objective).ray(stop, image)
-        to_world = scene.sensors()[0].world_transform()
-        rays = dr.zeros(mi.RayDifferential3f, dr.width(position[0]))
-        rays.o = to_world @ mi.Point3f(*origin)
-        rays.d = dr.normalize(to_world @ mi.Vector3f(slope[0], slope[1], 1))
-        # The field stop, if there is one, ends rays where they start.
-        rays.maxt = dr.select(FourierLens(self._objective).field_inset(*image) >= 0, dr.inf, 0.0)
-        return rays, to_world
 
 
 def view_of(camera: PlenopticCamera) -> LensView:

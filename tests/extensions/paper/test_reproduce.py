@@ -17,7 +17,8 @@ from mitsuba_plenoptic.extensions.paper import reproduction as reproductions
 from mitsuba_plenoptic.extensions.paper.reproduction import processor_seconds, reproduce
 from mitsuba_plenoptic.report import plots
 from mitsuba_plenoptic.report.comparison import compare
-from mitsuba_plenoptic.report.experiment import Settings, pinhole_image, thin_lens_image
+from mitsuba_plenoptic.report.experiment import Settings
+from mitsuba_plenoptic.report.photographs import pinhole_image, thin_lens_image
 
 
 def files(folder):

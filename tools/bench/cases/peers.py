@@ -22,7 +22,7 @@ from mitsuba_plenoptic.fields.optical_system import OpticalSystem
 from mitsuba_plenoptic.fields.steps import AxisStep
 from mitsuba_plenoptic.fields.steps import Step as FieldStep
 from mitsuba_plenoptic.optics.waves import propagate
-from mitsuba_plenoptic.report.experiment import thin_lens_image
+from mitsuba_plenoptic.report.photographs import thin_lens_image
 from mitsuba_plenoptic.views import LensGrid, focal_stack, white_image
 from mitsuba_plenoptic.views.coordinates import disparity
 from mitsuba_plenoptic.views.grid import lens_grid

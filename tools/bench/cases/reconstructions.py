@@ -39,8 +39,8 @@ from mitsuba_plenoptic import (
     with_camera,
 )
 from mitsuba_plenoptic.refocus.straight import straightened
-from mitsuba_plenoptic.report.experiment import thin_lens_image
 from mitsuba_plenoptic.report.images import write_png
+from mitsuba_plenoptic.report.photographs import thin_lens_image
 
 from .. import Pivot, Row, at_least, at_most, case, pick
 from ..measures import scores, write_comparison
