@@ -26,14 +26,17 @@ def microscope(rng):
         magnification, aperture, immersion, arrangement="fourier", fourier_focal_length=focal_length,
         field_stop=0.4 * pitch * focal_length / z, field_stop_shape=shape,
     )  # fmt: skip
-    pixel = 0.2 * 550e-6 * z / pitch * 2
+    pixel = float(rng.uniform(1, 2.5)) * 550e-6 * z / pitch
     size = int(np.clip(3.6 * pitch / pixel, 60, 120)) // 2 * 2
+    lattice = str(rng.choice(["square", "hexagonal"]))
+    focal_lengths = [(1.0,), (1.0,), (0.97,)] + [(1.0, 0.97, 1.04)] * (lattice == "hexagonal")
+    focal_lengths = tuple((z * np.array(focal_lengths[rng.integers(len(focal_lengths))])).tolist())
     return mp.PlenopticCamera(
         main_lens=lens,
         mla_pitch=pitch,
-        mla_focal_length=z * float(rng.choice([1.0, 1.0, 0.97])),
+        mla_focal_length=focal_lengths[0] if len(focal_lengths) == 1 else focal_lengths,
         detector_distance=z,
-        mla_lattice=str(rng.choice(["square", "hexagonal"])),
+        mla_lattice=lattice,
         mla_rotation=float(rng.choice([0.0, 11.0])),
         mla_aperture=str(rng.choice(["cell", "circle"])),
         mla_offset=tuple((pitch * rng.uniform(-0.5, 0.5, 2)).tolist()),
@@ -63,8 +66,9 @@ def units_of_fourier_microscopes(draw):
         fourier_focal_length=2 * lens.fourier_focal_length,
         field_stop=2 * lens.field_stop,
     )
-    lengths = "mla_pitch", "mla_focal_length", "detector_distance", "detector_width"
+    lengths = "mla_pitch", "detector_distance", "detector_width"
     doubled = {name: 2 * getattr(camera, name) for name in lengths}
+    doubled["mla_focal_length"] = tuple(2 * value for value in camera.mla_focal_lengths)
     offset = tuple(2 * value for value in camera.mla_offset)
     other = mp.PlenopticCamera(
         main_lens=longer, mla_offset=offset, mla_lattice=camera.mla_lattice, mla_rotation=camera.mla_rotation,

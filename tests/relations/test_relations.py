@@ -34,7 +34,7 @@ SEEDS = {
     "lamp_deconvolved": 202, "planes_deconvolved": 204, "function_deconvolved": 6, "white_capture": 201,
     "white_deconvolved": 507, "white_incoherent": 502, "quarter_turn": 501, "array_partial": 501, "blur": 601,
     "single_laser_point": 609, "part_ray": 602, "short_waves": 604, "seeds_of_scenes_by_waves": 610,
-    "units_of_fourier_microscopes": 708,
+    "units_of_fourier_microscopes": 708, "light_of_fourier_microscopes": 703,
 }  # fmt: skip
 """Draws of three options or four that cost little; hunts draw the dear ones."""
 
