@@ -45,7 +45,8 @@ def compare(
         Samples per pixel, by rays and by waves.
     methods : NAME,...
         What both captures are refocused by, and rays; the last two take most of the time. A further one, limit,
-        propagates one lens at a time, takes longest, and shows what interference between lenses adds.
+        propagates one lens at a time, takes longest, and shows what interference between lenses adds. Of the Fourier
+        arrangement of microscopes waves do not go back, and coherent and partial are left out.
     against
         Also show what the camera sees without its microlens array, in focus at the first distance, and the sharpness
         of both.

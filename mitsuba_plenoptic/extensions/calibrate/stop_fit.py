@@ -13,13 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array, Doubles
+from ...runtime import Array, Doubles, as_array
 from .white_fit import of_size
+from .white_frames import stuck
 
 NUMBERS = {
     "mla_pitch": "mm", "mla_rotation": "degrees", "mla_offset x": "mm", "mla_offset y": "mm", "stop x": "mm",
@@ -61,7 +63,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     Parameters
     ----------
     white : (rows, columns) array
-        Values of the sensor less its black level, proportional to light.
+        Values of the sensor less its black level, proportional to light. Single dead and hot pixels are left out.
     camera : PlenopticCamera
         The camera as it is known. The pitch may be off by 3 %, the rotation by 5 degrees, the aperture and the field
         stop by a fifth; of `mla_offset` nothing need be known.
@@ -71,7 +73,10 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     InputError
         If the picture shows no such micro-images.
     """
+    white = as_array("white", white, shape=(None, None))
     refuse_if(not np.ptp(white) > 0, "white: all of its pixels are alike")
+    dead, hot = stuck(white, 0.01 * float(np.median(white[white > 0])))
+    white = np.where(dead | hot, median_filter(white, 3), white)
     camera = of_size(camera, white.shape[::-1])
     lens: Any = camera.objective
     refuse_if(lens.field_stop is None, "main_lens: the white picture is of no field_stop, which ends micro-images")

@@ -30,6 +30,8 @@ KNOWN = mp.PlenopticCamera(
 def test_a_microscope_is_found_from_its_white_picture(known, changes, lens):
     true = known.replace(main_lens=replace(known.main_lens, **lens), **changes)
     white = np.random.default_rng(0).poisson(sky(true, 64) * 500.0)
+    # Hot pixels, and dead ones.
+    white[10:180:40, 15::40], white[30:180:40, 15::40] = 30000, 0
     fit = fit_stop(white, known)
     found = fit.camera
     assert found.mla_pitch == pytest.approx(true.mla_pitch, rel=3e-4)
@@ -53,6 +55,8 @@ def test_a_microscope_is_found_from_its_white_picture(known, changes, lens):
 def test_what_shows_no_micro_images_is_refused():
     with pytest.raises(mp.InputError, match="alike"):
         fit_stop(np.ones((216, 216)), KNOWN)
+    with pytest.raises(mp.InputError, match="finite"):
+        fit_stop(np.where(np.eye(216), np.nan, 1), KNOWN)
     with pytest.raises(mp.InputError, match="no white picture"):
         fit_stop(np.random.default_rng(0).random((216, 216)), KNOWN)
     with pytest.raises(mp.InputError, match="field_stop"):
