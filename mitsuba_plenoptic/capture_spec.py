@@ -17,7 +17,7 @@ from .camera import PlenopticCamera
 from .errors import naming
 from .io import Capture, hash_of
 from .plugins.other_camera import with_camera
-from .runtime import DEFAULT_VARIANT, Named, require_size, set_variant
+from .runtime import DEFAULT_VARIANT, Facts, Named, require_size, set_variant
 from .scene import LARGEST_SCENE, load_scene, plenoptic_sensor, quiet, render_capture
 from .scene_files import scene_path
 
@@ -50,7 +50,7 @@ class CaptureSpec:
 
     scene: str
     parameters: Mapping[str, str] = field(default_factory=dict)
-    camera: Mapping[str, Any] | None = None
+    camera: Facts | None = None
     unit: str = "mm"
     model: str | None = None
     wavelength: float | None = None

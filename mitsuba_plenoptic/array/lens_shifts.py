@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import numpy as np
 
-from ..runtime import Doubles, Pair, Shape, Triple, exponents, module_of, monomials, turn
+from ..runtime import Doubles, Numbers, Pair, Shape, Triple, exponents, module_of, monomials, turn
 
 Corner = Sequence[float] | Doubles
 """X and y of a corner of a rectangle."""
@@ -47,9 +47,9 @@ class Displacement:
     """
 
     # Coefficients of the smooth displacement along x, then along y, for as many of `WARP_POWERS`; may be empty.
-    warp: tuple[float, ...] = ()
+    warp: Numbers = ()
     # Pairs of an image height in mm and a chief-ray angle in degrees; may be empty.
-    chief_rays: tuple[float, ...] = ()
+    chief_rays: Numbers = ()
     # Distance to the detector in mm, and refractive index in between, which move lenses aligned to chief rays.
     distance: Any = 0.0
     medium: float = 1.0

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import put, refuse_if, require_flag, require_number, require_wavelength, short_repr
 from ..prescription import LINE_D
-from ..runtime import Doubles, Pair
+from ..runtime import Doubles, Numbers, Pair
 from .sampled import fitted_power
 from .sampled_grid import SampledGrid, known_samples, phases
 from .shape import MM_PER_NM, MicrolensShape
@@ -86,7 +86,7 @@ class PhaseMap(MicrolensShape):
         return [SampledGrid(samples, self.width) for samples in self._smooth]
 
     @property
-    def _given(self) -> tuple[float, ...]:
+    def _given(self) -> Numbers:
         """Wavelengths of the maps in nanometres, as a tuple."""
         return tuple(self.wavelengths)  # type: ignore[arg-type]
 

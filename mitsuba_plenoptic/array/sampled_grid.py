@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_module, require_number, require_wavelength
-from ..runtime import IMAGE, Doubles, Pair, Shape, as_array, module_of, require_all, require_file, take, unit_of
+from ..runtime import IMAGE, Doubles, Facts, Pair, Shape, as_array, module_of, require_all, require_file, take, unit_of
 
 COUNTS = 4, 1024
 """Least and largest count of samples along an axis."""
@@ -62,7 +62,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
     `units` are factors of the units that a file or a labelled array may state; others are refused. None stands for
     numbers whose unit does not matter.
     """
-    header: Mapping[str, Any] = {}
+    header: Facts = {}
     if isinstance(value, (str, Path)):
         value, header = _read(require_file(Path(value)))
     unit = str(header.get("BUNIT", unit_of(value))).strip()
@@ -85,7 +85,7 @@ def read_samples(name: str, value: Any, units: Mapping[str, float] | None) -> Do
     return samples
 
 
-def _read(path: Path) -> tuple[Any, Mapping[str, Any]]:
+def _read(path: Path) -> tuple[Any, Facts]:
     """Return the samples in a file, and the header of FITS."""
     ending = path.suffix.lower()
     if ending == ".npy":

@@ -45,7 +45,19 @@ from numpy.typing import NDArray
 from ..array import Lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres
-from ..runtime import Array, Field, Pair, array_module, backend_of, check_memory, drjit_array, empty_packets, fft, turn
+from ..runtime import (
+    Array,
+    Field,
+    Pair,
+    Sizes,
+    array_module,
+    backend_of,
+    check_memory,
+    drjit_array,
+    empty_packets,
+    fft,
+    turn,
+)
 from .accuracy import ACCURACY
 from .transmittance import factor_axes, opaque_lattice, transmission
 
@@ -70,7 +82,7 @@ class ArrayFactor(ABC):
 
     _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
-    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: tuple[int, ...]):
+    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: Sizes):
         lattice = camera.lattice
         types = len(camera.mla_focal_lengths)
         self._camera = camera

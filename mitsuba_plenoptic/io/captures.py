@@ -35,7 +35,7 @@ from ..errors import (
     suggest_keywords,
 )
 from ..extension import Displayed, format_of, place
-from ..runtime import Array, Named, as_pixels, atomic_output, of_one_file, require_writable
+from ..runtime import Array, Named, Numbers, as_pixels, atomic_output, of_one_file, require_writable
 from .exr import ATTRIBUTE, read_attributes, read_exr, read_pixels, write_exr
 from .versions import require_seal, sealed
 
@@ -68,7 +68,7 @@ class Capture(Displayed):
 
     image: np.ndarray
     camera: PlenopticCamera
-    wavelength: float | tuple[float, ...] | None = None
+    wavelength: float | Numbers | None = None
     model: str = "ray"
     metadata: dict[str, Any] = field(default_factory=dict)
     noise: np.ndarray | None = None

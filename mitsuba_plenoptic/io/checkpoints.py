@@ -26,6 +26,7 @@ from ..runtime import (
     Array,
     Named,
     PartialSum,
+    Sizes,
     Snapshot,
     atomic_output,
     backend_of,
@@ -113,7 +114,7 @@ class Checkpoint:
             self.path.unlink(missing_ok=True)
         self._lock.close()
 
-    def begin(self, shape: tuple[int, ...], **facts: Any) -> Snapshot | None:
+    def begin(self, shape: Sizes, **facts: Any) -> Snapshot | None:
         """Register the run; return the state saved by an earlier process, None if there is none.
 
         Parameters
@@ -295,7 +296,7 @@ def _read(path: Path, run: Named, take: Callable[[Any, Named], _State]) -> _Stat
     )
 
 
-def _snapshot(shape: tuple[int, ...], archive: Mapping[str, Array], header: Named) -> Snapshot:
+def _snapshot(shape: Sizes, archive: Mapping[str, Array], header: Named) -> Snapshot:
     image = archive["image"]
     if image.shape != shape:
         raise ValueError(f"image has the shape {image.shape} instead of {shape}")

@@ -4,12 +4,11 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 
 from ..errors import refuse_if
-from ..runtime import Array, Named
+from ..runtime import Array, Facts, Named
 
 VERSION = version("mitsuba-plenoptic")
 """The version that files written by this process state."""
@@ -22,12 +21,12 @@ DIGEST = "digest"
 """Names of the entries that state the version, and the digest of pixels and other entries."""
 
 
-def stamped(record: Mapping[str, Any]) -> Named:
+def stamped(record: Facts) -> Named:
     """Return a file's record with the version of this package and the number of the format added."""
     return {**record, "format": FORMAT, KEY: VERSION}
 
 
-def sealed(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> Named:
+def sealed(record: Facts, parts: Sequence[Mapping[str, Array]]) -> Named:
     """Return a file's record, as JSON keeps it, with the version, and the digest of it and the planes of its pixels."""
     plain = json.loads(json.dumps(stamped(record), sort_keys=True))
     return {**plain, DIGEST: digest_of(plain, parts)}
@@ -46,7 +45,7 @@ def require_seal(record: Named, parts: Sequence[Mapping[str, Array]]) -> None:
     )
 
 
-def digest_of(record: Mapping[str, Any], parts: Sequence[Mapping[str, Array]]) -> str:
+def digest_of(record: Facts, parts: Sequence[Mapping[str, Array]]) -> str:
     """Return the digest of planes and of a record without the digest that it states."""
     sealed_record = {name: value for name, value in record.items() if name != DIGEST}
     content_hash = hashlib.sha256(json.dumps(sealed_record, sort_keys=True).encode())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -14,7 +14,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres, rays
 from ..prescription import Collimator, Objective, Prescription
-from ..runtime import Doubles, Pair
+from ..runtime import Doubles, Facts, Pair
 from .protocol import MainLens
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def main_lens(
     camera: PlenopticCamera,
     wavelength: float | None = None,
     *,
-    varying: Mapping[str, Any] | None = None,
+    varying: Facts | None = None,
     model: str | None = None,
 ) -> Any:
     """Return the optics of a camera's main lens at a wavelength.

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import put, refuse_if
 from ..optics import in_millimetres
-from ..runtime import Doubles, Integers, Named, Pair, drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Facts, Integers, Named, Pair, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
 from .pupil import Pupil
@@ -129,7 +129,7 @@ class FittedLens:
             [over_pupil(*stops) for stops in zip(fitted.stops, *(change.stops for _, change in changes), strict=True)],
         )
 
-    def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
+    def varying(self, numbers: Facts, names: Container[str], turned: Any) -> Any:
         """Return the lens with the gradients of its parameters, as `MainLens.varying` does."""
         changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
         return VaryingLens(self, numbers["mla_distance"], changed, turned)

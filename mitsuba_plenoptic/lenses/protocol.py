@@ -12,11 +12,11 @@ gradients that these carry.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from ..runtime import Doubles, Floats, Pair, Triple
+from ..runtime import Doubles, Facts, Floats, Numbers, Pair, Triple
 from .pupil import Pupil
 
 Traced = tuple[Triple, Pair, Any]
@@ -111,7 +111,7 @@ class MainLens(Protocol):
     def points(self, images: Doubles, inverse_distance: Doubles) -> Doubles:
         """Return the scene points (n, 3) with given `images` and `common.inverse_distance`."""
 
-    def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> Any:
+    def varying(self, numbers: Facts, names: Container[str], turned: Any) -> Any:
         """Return the lens with Dr.Jit parameters that carry gradients.
 
         Parameters
@@ -190,7 +190,7 @@ class Entrance:
     front: float = 0.0
     magnification: float = 1.0
     radius: float = 0.0
-    depths: tuple[float, ...] = (0.0,)
+    depths: Numbers = (0.0,)
     growth: float = 0.0
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..prescription import LEAST, Prescription, height
-from ..runtime import Triple, safe_sqrt, select
+from ..runtime import Numbers, Triple, safe_sqrt, select
 from .accuracy import ACCURACY
 
 
@@ -37,7 +37,7 @@ class Element:
     gap: Any
     curvature: float
     conic: float
-    asphere: tuple[float, ...]
+    asphere: Numbers
     semi_aperture: Any
     before: Any
     after: Any

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Container
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -20,7 +20,7 @@ from ..camera import PhaseScreen
 from ..errors import WAVEFRONT_UNIT
 from ..optics import in_millimetres, parabola, rays
 from ..prescription import SINGLE, Collimator, vergence
-from ..runtime import Doubles, Pair, Shape, Triple, sqrt
+from ..runtime import Doubles, Facts, Numbers, Pair, Shape, Triple, sqrt
 from .accuracy import ACCURACY
 from .closed_lens import ClosedLens
 from .common import LensNumbers, builds
@@ -178,7 +178,7 @@ class ThinLens(ClosedLens):
         tx, ty = (self.pupil.slope(P, q) for P, q in zip(pupil, position, strict=True))
         return (Px, Py, 0.0), self.refract((tx, ty), pupil), Px * Px + Py * Py <= largest * largest
 
-    def varying(self, numbers: Mapping[str, Any], names: Container[str], turned: Any) -> ThinLens:
+    def varying(self, numbers: Facts, names: Container[str], turned: Any) -> ThinLens:
         """Return the lens with Dr.Jit parameters that carry gradients."""
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
@@ -329,7 +329,7 @@ def _signed(length: Any, g: Any) -> Any:
 class DistortedLens(ThinLens):
     """A thin lens with distortion (`undistort`), whose rays continue as if from another MLA point; for rays only."""
 
-    distortion: tuple[float, ...] = (0.0,) * 5
+    distortion: Numbers = (0.0,) * 5
 
     def trace(self, position: Pair, slope: Pair) -> Traced:
         """Return the ray from a position on the MLA through an unchanged pupil point to the scene."""

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.linalg import LinearOperator
 
-from ..runtime import Array
+from ..runtime import Array, Sizes
 
 
 class LinearMap(LinearOperator):
@@ -25,7 +25,7 @@ class LinearMap(LinearOperator):
         Type of the images.
     """
 
-    def __init__(self, source_shape: tuple[int, ...], image_shape: tuple[int, ...], dtype: Any = np.float32):
+    def __init__(self, source_shape: Sizes, image_shape: Sizes, dtype: Any = np.float32):
         super().__init__(dtype, (math.prod(image_shape), math.prod(source_shape)))
         self.source_shape = source_shape
         self.image_shape = image_shape

@@ -42,7 +42,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import refuse_if, refusing
-from ..runtime import Array, Flags, Progress
+from ..runtime import Array, Flags, Progress, Sizes
 from .map import LinearMap
 
 _ADDED = 1e-3
@@ -87,7 +87,7 @@ class SolverState:
     residuals: list[float] = field(default_factory=list)
 
     @classmethod
-    def of(cls, arrays: Mapping[str, Array], shape: tuple[int, ...]) -> SolverState | None:
+    def of(cls, arrays: Mapping[str, Array], shape: Sizes) -> SolverState | None:
         """Return the state in the arrays of a checkpoint, None if there is none; refuse light of another shape."""
         if "values" not in arrays:
             return None

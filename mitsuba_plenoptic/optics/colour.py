@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Doubles, Floats, drjit_array
+from ..runtime import Doubles, Floats, Numbers, drjit_array
 from .spectrum import WAVELENGTHS, Spectrum, Table, interpolated
 
 _STEP = 10.0
@@ -59,7 +59,7 @@ def _tables(thing: Any) -> dict[str, Table]:
     return tables
 
 
-def require_spectra(scene: Any, wavelengths: tuple[float, ...], responses: Floats) -> None:
+def require_spectra(scene: Any, wavelengths: Numbers, responses: Floats) -> None:
     """Refuse wavelengths at which a spectrum of the scene has no values, where Mitsuba takes 0.
 
     A scalar or a colour given as radiance means the spectrum of D65. Mitsuba defines D65 and black bodies from 360 to
@@ -127,7 +127,7 @@ def _d65(wavelengths: Doubles) -> Doubles:
     return np.array(mi.cie_d65(drjit_array(mi.Float, wavelengths)), np.float64)
 
 
-def upsampling(wavelengths: tuple[float, ...]) -> Doubles:
+def upsampling(wavelengths: Numbers) -> Doubles:
     """Return the spectra (3, n) of unit red, green and blue light at wavelengths in nanometres."""
     grid, basis = _reflectances()
     at = np.array(wavelengths)

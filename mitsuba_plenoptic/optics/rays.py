@@ -19,7 +19,7 @@ import numpy as np
 
 from ..camera import PlenopticCamera
 from ..prescription import defocus_factor
-from ..runtime import Pair, drjit_array, module_of, rsqrt, take
+from ..runtime import Numbers, Pair, drjit_array, module_of, rsqrt, take
 
 
 def chief_point(camera: PlenopticCamera, p: Any, distance: Any = None) -> Any:
@@ -178,7 +178,7 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
-def second_leg(pairs: tuple[float, ...], absorption: float, kind: Any = None) -> Callable[[Any, Any], Any]:
+def second_leg(pairs: Numbers, absorption: float, kind: Any = None) -> Callable[[Any, Any], Any]:
     """Return a function of lateral path and depth behind the lenses that gives the part of the power that counts.
 
     `pairs` are angles of incidence in degrees and the responses of pixels there, in turn, of which the last is the

@@ -22,6 +22,7 @@ from ..runtime import (
     Doubles,
     Field,
     Shape,
+    Sizes,
     active_backend,
     array_module,
     backend_of,
@@ -200,7 +201,7 @@ def _row_step(field: Field) -> int:
     return len(field) // _ROWS | 1 if field.size > _SMALL else 1
 
 
-def _packed_rows(packed: Any, shape: tuple[int, ...], chosen: Array | None) -> Field:
+def _packed_rows(packed: Any, shape: Sizes, chosen: Array | None) -> Field:
     """Return some or all rows of a field that is stored as 64-bit words."""
     field = fft.as_field(packed, shape)
     return field if chosen is None else field[backend_of(field).arrays.asarray(chosen)]
@@ -282,7 +283,7 @@ def advance(
 
 def _advance(
     packed: Any,
-    shape: tuple[int, ...],
+    shape: Sizes,
     pitch: float | tuple[float, float],
     distance: float,
     wavelength: float,

@@ -16,7 +16,7 @@ from ..extension import entries, place
 from ..lenses import main_lens
 from ..optics import second_leg
 from ..rays import LensRays, sampler_of
-from ..runtime import Named, Pair, Triple, count_lanes, require_unfrozen
+from ..runtime import Named, Numbers, Pair, Triple, count_lanes, require_unfrozen
 from ..scene import meet_moved, refuse_light_tracing, world_ray
 from .properties import read_camera, require_read
 
@@ -359,7 +359,7 @@ def _parameters_of(camera: PlenopticCamera) -> Named:
     return {name: value for name, value in camera.arguments().items() if PARAMETERS[name].form is not Form.FILM}
 
 
-def _plain(values: Any, written: float | tuple[float, ...]) -> list[float]:
+def _plain(values: Any, written: float | Numbers) -> list[float]:
     """Return single-precision values as first given, or as their shortest decimals: 0.512 for 0.5120000243."""
     numbers = np.ravel(written).tolist()
     # Points and vectors come in single precision.

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InputError, refuse_if, refusing, require_wavelength, short_repr
 from ..optics import RGB_WAVELENGTHS
-from ..runtime import Floats, Pair, drjit_array, require_unfrozen
+from ..runtime import Floats, Numbers, Pair, drjit_array, require_unfrozen
 from ..scene import meet_moved, require_seen
 from .properties import require_read
 
@@ -40,7 +40,7 @@ NAME = "plenoptic_wave"
 DEFAULT_WAVELENGTH = 633.0
 
 
-def read_wavelengths(props: Any) -> tuple[float, ...]:
+def read_wavelengths(props: Any) -> Numbers:
     """Read one wavelength, or one for each channel, for the active variant."""
     value = props.get("wavelength", None)
     if value is None:

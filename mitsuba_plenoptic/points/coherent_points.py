@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..errors import require_choice
 from ..optics import guards
-from ..runtime import Doubles, active_backend, as_array, one_at_a_time
+from ..runtime import Doubles, Sizes, active_backend, as_array, one_at_a_time
 from .arrival import SampledField
 
 PLANES = ("pupil", "array", "detector")
@@ -91,7 +91,7 @@ class CoherentPoints:
         return fields.adjoint(field, plane)
 
 
-def _complex(name: str, values: Any, shape: tuple[int, ...]) -> NDArray[np.complex64]:
+def _complex(name: str, values: Any, shape: Sizes) -> NDArray[np.complex64]:
     """Return values as a complex array of a shape; refuse anything else."""
     rule = "they must be complex numbers"
     return np.ascontiguousarray(as_array(name, values, dtype=np.complex64, rule=rule, shape=shape))

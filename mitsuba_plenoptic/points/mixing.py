@@ -12,7 +12,7 @@ from ..camera import PlenopticCamera
 from ..errors import InputError, refuse_if
 from ..fields import OpticalSystem
 from ..optics import Spectrum
-from ..runtime import POINTS, Array, Doubles, Floats, Job, Shape, as_array, require_all
+from ..runtime import POINTS, Array, Doubles, Floats, Job, Numbers, Shape, as_array, require_all
 from .pupil_weights import PupilWeights
 
 _LEFT_OUT = 0.1
@@ -64,7 +64,7 @@ class WeightChannels:
         """Number of sums of point spreads in an image: one for each distinct wavelength, or each node."""
         return 1 if self.spectrum is None else len(self.spectrum.computed)
 
-    def mixing(self, columns: int) -> tuple[tuple[float, ...], Floats]:
+    def mixing(self, columns: int) -> tuple[Numbers, Floats]:
         """Return each weight column's wavelength, and the matrix (channels, columns) from columns to channels."""
         if self.spectrum is None:
             return (cast(float, self._wavelength),) * columns, np.eye(columns, dtype=np.float32)
@@ -174,7 +174,7 @@ def mix(image: Array, matrix: Floats) -> Array:
     return image if np.array_equal(matrix, np.eye(len(matrix))) else image @ matrix.T
 
 
-def groups(wavelengths: tuple[float, ...]) -> Iterator[tuple[float, list[int]]]:
+def groups(wavelengths: Numbers) -> Iterator[tuple[float, list[int]]]:
     """Yield each distinct wavelength and its columns, which share point spreads."""
     for wavelength in dict.fromkeys(wavelengths):
         yield wavelength, [column for column, candidate in enumerate(wavelengths) if candidate == wavelength]

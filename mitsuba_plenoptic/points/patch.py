@@ -40,7 +40,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..runtime import Doubles, Field, active_backend, fft
+from ..runtime import Doubles, Field, Sizes, active_backend, fft
 from .patch_factors import Fields, PatchFactors
 from .windows import part_of
 
@@ -209,7 +209,7 @@ class Memory:
         yield
         self._used = in_use
 
-    def take(self, shape: tuple[int, ...]) -> Field:
+    def take(self, shape: Sizes) -> Field:
         """Return an uninitialised complex64 array."""
         fields = self._fields.setdefault(shape, [])
         in_use = self._used[shape]

@@ -22,6 +22,7 @@ from ..runtime import (
     Field,
     Integers,
     Pair,
+    Sizes,
     Triple,
     array_module,
     drjit_array,
@@ -176,7 +177,7 @@ class PatchFactors:
             yield self._on_axis(elements, axes[0], scale) if len(axes) == 1 else self._on_plane(elements)
         yield self._transfer(self._elements(self.shapes[-1]))
 
-    def _elements(self, shape: tuple[int, ...]) -> Elements:
+    def _elements(self, shape: Sizes) -> Elements:
         """Return the optical elements in arrays of the shape that a factor has."""
         return self._elements_of(math.prod(shape))
 

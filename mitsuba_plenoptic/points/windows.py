@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..runtime import Array, Doubles, Field, Floats, Integers, Shape, backend_of
+from ..runtime import Array, Doubles, Field, Floats, Integers, Shape, Sizes, backend_of
 
 _LANES = 2**24
 _BLOCK = 2**18
@@ -46,7 +46,7 @@ def runs(length: int, step: int) -> Iterator[slice]:
     return (slice(start, min(start + step, length)) for start in range(0, length, step))
 
 
-def index_of(planes: Array, plane: Integers, starts: Integers, size: tuple[int, ...]) -> Any:
+def index_of(planes: Array, plane: Integers, starts: Integers, size: Sizes) -> Any:
     """Return the index of windows (n, rows, columns) of planes, from the plane, first row and column of each."""
     if len(starts) == 1:
         first = int(plane[0]), *starts[0].tolist()
@@ -56,7 +56,7 @@ def index_of(planes: Array, plane: Integers, starts: Integers, size: tuple[int, 
     return tuple(backend_of(planes).arrays.asarray(index) for index in indices)
 
 
-def taken(planes: Array, plane: Integers, starts: Integers, size: tuple[int, ...]) -> Array:
+def taken(planes: Array, plane: Integers, starts: Integers, size: Sizes) -> Array:
     """Return windows (n, rows, columns) of planes: a view of one, copies of several."""
     libraries = backend_of(planes)
     step = len(starts) if libraries.is_cuda else 1

@@ -28,7 +28,7 @@ from ..errors import (
     short_repr,
     warn,
 )
-from ..runtime import Named, safe_sqrt
+from ..runtime import Named, Numbers, safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence
@@ -86,7 +86,7 @@ class Surface:
     glass: Glass | None
     semi_aperture: float
     conic: float = 0.0
-    asphere: tuple[float, ...] = ()
+    asphere: Numbers = ()
 
     @property
     def curvature(self) -> float:
@@ -214,8 +214,8 @@ class Prescription(LensData):
     object_distance: float = math.inf
     image_distance: float = 0.0
     pupil_diameter: float = 0.0
-    fields: tuple[float, ...] = ()
-    wavelengths: tuple[float, ...] = ()
+    fields: Numbers = ()
+    wavelengths: Numbers = ()
 
     @property
     def traced_surfaces(self) -> tuple[Surface, ...]:

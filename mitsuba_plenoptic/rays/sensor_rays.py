@@ -16,7 +16,7 @@ from ..camera import PlenopticCamera
 from ..lenses import Traced, main_lens
 from ..optics import RGB_WAVELENGTHS
 from ..prescription import LINE_D, SINGLE, Glass
-from ..runtime import Named, Pair, drjit_array
+from ..runtime import Named, Numbers, Pair, drjit_array
 from .lens_choice import CHIEF, LensChoice
 from .tracer import Passage, Ray, Walk
 
@@ -32,7 +32,7 @@ class Dispersion:
     """Focal lengths and refractive indices of a camera at some wavelengths, or, after `draw`, for each ray."""
 
     # In nanometres: the wavelengths of the channels in rgb variants, a grid in spectral variants.
-    wavelengths: tuple[float, ...]
+    wavelengths: Numbers
     # Ratios of the focal lengths of the thin main lens and of the microlenses to the camera's parameters; a float where
     # the value does not depend on the wavelength.
     ratio: Any

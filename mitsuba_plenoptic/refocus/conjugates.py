@@ -25,7 +25,7 @@ from ..errors import InputError, argument
 from ..fields import OpticalSystem, is_paraxial
 from ..lenses import FAR, FittedLens, Light, Pupils, RealLens, ThinLens
 from ..optics import in_millimetres
-from ..runtime import Doubles, Pair, Triple, array_module
+from ..runtime import Doubles, Pair, Sizes, Triple, array_module
 
 _MARGIN = 4
 """Lenses beyond the corner of the bins up to which the lens is fitted."""
@@ -64,7 +64,7 @@ class FieldZone:
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None
     is_cut: bool = False
 
-    def part(self, shape: tuple[int, ...]) -> tuple[slice, ...]:
+    def part(self, shape: Sizes) -> tuple[slice, ...]:
         """Return the slices of rows and columns of bins in the zone."""
         if self.bounds is None:
             return ()

@@ -27,7 +27,7 @@ from ..fields import OpticalSystem
 from ..io import Capture, Checkpoint, require_demosaiced
 from ..optics import in_millimetres
 from ..refocus_options import Option, all_options, options_of_methods
-from ..runtime import Array, BatchMap, Named, as_array, require_memory_for
+from ..runtime import Array, BatchMap, Named, Sizes, as_array, require_memory_for
 
 Progress = Callable[[float], None]
 """Called with the fraction of the work that is done."""
@@ -274,7 +274,7 @@ def require_wavelengths(capture: Capture, wavelength: Any, channels: int, camera
 
 
 def require_image_memory(
-    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: tuple[int, ...], drawn_back: bool
+    camera: PlenopticCamera, distances: Sequence[float], oversample: int, shape: Sizes, drawn_back: bool
 ) -> None:
     """Refuse images too large for the memory before anything is allocated."""
     columns, rows = camera.bin_count

@@ -17,7 +17,7 @@ from ..choices import VOLUMES
 from ..errors import NO_RECORD, InputError, naming, refuse_if, refusing, require_choice, require_number, short_repr
 from ..extension import Displayed, Shown
 from ..io import read_exr, write_exr, write_labelled_data
-from ..runtime import Array, Floats, Named, atomic_output, require_memory, require_writable, require_zarr
+from ..runtime import Array, Floats, Named, Numbers, atomic_output, require_memory, require_writable, require_zarr
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -149,7 +149,7 @@ class Volume:
     """
 
     values: Floats
-    distances: tuple[float, ...]
+    distances: Numbers
     voxel_size: float
     attributes: Named = field(default_factory=dict)
 

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from ..errors import refuse_if
 from ..io import StageOptions
-from ..runtime import Array, Named
+from ..runtime import Array, Facts, Named
 from .comparison_page import ANSWER, write_report
 from .edge import square_sharpness
 from .experiment import EDGE_TILT, METHOD_TITLES, Experiment, RefocusMethod, Settings, open_store, run_experiment
@@ -245,9 +245,7 @@ def _depth(low: Array) -> float:
     return round(float(low[2]), 3)
 
 
-def draw_comparison(
-    folder: Path, experiment: Experiment, measured: Mapping[str, Any], zooms: Sequence[Zoom]
-) -> dict[str, str]:
+def draw_comparison(folder: Path, experiment: Experiment, measured: Facts, zooms: Sequence[Zoom]) -> dict[str, str]:
     """Draw the figures common to all experiments; return their captions by file name."""
     rows = measured["reconstructions"]
     metrics = {(row["method"], row["distance"]): f"{row['psnr']:.1f} dB, SSIM {ssim_text(row['ssim'])}" for row in rows}

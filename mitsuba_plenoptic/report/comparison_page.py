@@ -10,7 +10,7 @@ from PIL import Image
 
 from .. import design
 from ..io import write_json
-from ..runtime import Array, Named, software
+from ..runtime import Array, Facts, Named, software
 from .experiment import METHOD_TITLES, Experiment
 from .images import Brightness, data_url, encoded, to_bytes
 from .metrics import ssim_text
@@ -28,7 +28,7 @@ def write_report(
     title: str,
     lead: str,
     experiment: Experiment,
-    measured: Mapping[str, Any],
+    measured: Facts,
     *,
     zooms: Sequence[Zoom],
     plates: Mapping[str, str],
@@ -79,7 +79,7 @@ def write_report(
     return results
 
 
-def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
+def _capture_text(experiment: Experiment, measured: Facts) -> str:
     """Return what tells the captures apart."""
     camera = experiment.camera
     captures = measured["captures"]
@@ -104,7 +104,7 @@ def _capture_text(experiment: Experiment, measured: Mapping[str, Any]) -> str:
     )
 
 
-def _numbers(measured: Mapping[str, Any]) -> list[Block]:
+def _numbers(measured: Facts) -> list[Block]:
     """Return the tables of reconstructions and of edges."""
     rows = [
         row
@@ -146,7 +146,7 @@ def _numbers(measured: Mapping[str, Any]) -> list[Block]:
     return blocks
 
 
-def _facts(experiment: Experiment, measured: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _facts(experiment: Experiment, measured: Facts) -> list[tuple[str, str]]:
     """Return the settings and versions of an experiment as pairs of texts."""
     settings = experiment.settings
     apart = None
@@ -209,7 +209,7 @@ def capture_geometry(experiment: Experiment, zooms: Sequence[Zoom], window: Wind
     }
 
 
-def reconstructions(experiment: Experiment, measured: Mapping[str, Any], window: Window) -> Named:
+def reconstructions(experiment: Experiment, measured: Facts, window: Window) -> Named:
     """Return pictures by method and distance, with metrics where they are known."""
     peak = Brightness().peak([*map(window.of, experiment.truths.values())])
     facts: dict[str, dict[str, list[list[str]]]] = {}

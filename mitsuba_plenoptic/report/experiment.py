@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, header_of, reconstruct, require_distances
-from ..runtime import Array, Named, Progress, in_words
+from ..runtime import Array, Facts, Named, Numbers, Progress, in_words
 from .images import luminance
 from .photographs import pinhole_image, thin_lens_image
 
@@ -124,8 +124,8 @@ class Settings(CaptureSpec):
 
     wavelength: float = 633.0
     spp: int = 16
-    distances: tuple[float, ...] = ()
-    slider: tuple[float, ...] = ()
+    distances: Numbers = ()
+    slider: Numbers = ()
     camera_name: str | None = None
     methods: tuple[RefocusMethod, ...] = COMPARED_METHODS
     points: int | None = None
@@ -428,7 +428,7 @@ def open_store(output: Path, stages: StageOptions | None) -> Cache:
 
 
 def refocused(
-    store: Cache, name: str, capture: Capture, key: str, distances: Sequence[float], options: Mapping[str, Any]
+    store: Cache, name: str, capture: Capture, key: str, distances: Sequence[float], options: Facts
 ) -> dict[float, Array]:
     """Return reconstructions by distance of a capture, identified by a key, by options of `reconstruct`, as stages.
 

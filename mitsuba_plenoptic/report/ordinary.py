@@ -1,8 +1,6 @@
 """The price of a microlens array: a scene with and without one, and the sharpness of both pictures."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.patches import Rectangle
@@ -11,7 +9,7 @@ from scipy.ndimage import uniform_filter
 
 from ..errors import refusing
 from ..optics import in_millimetres
-from ..runtime import Array, Named
+from ..runtime import Array, Facts, Named
 from .edge import window_sharpness
 from .experiment import METHOD_TITLES, ORDINARY, SLIDER_METHODS, Experiment, Ordinary
 from .images import Brightness, luminance
@@ -74,7 +72,7 @@ def _pictures(experiment: Experiment, ordinary: Ordinary) -> dict[str, tuple[Arr
     return pictures
 
 
-def ordinary_section(folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Mapping[str, Any]) -> Section:
+def ordinary_section(folder: Path, experiment: Experiment, ordinary: Ordinary, measured: Facts) -> Section:
     """Draw the pictures and the transfer functions, and return the part of the report that shows them."""
     figure_pictures(folder / "ordinary.png", experiment, ordinary)
     figure_transfer(folder / "mtf.png", measured)
@@ -151,7 +149,7 @@ def _most_contrast(image: Array, pixel: float, half: Array, close: float) -> Arr
 
 
 @styled
-def figure_transfer(path: Path, measured: Mapping[str, Any]) -> None:
+def figure_transfer(path: Path, measured: Facts) -> None:
     """Draw transfer functions over the logarithm of the frequency, with the limit of the pupil."""
     plot = Plot(7.2, 3.6)
     axes = plot.subplots()

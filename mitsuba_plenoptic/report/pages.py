@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 from PIL import Image
 
-from ..runtime import Shape, write_text
+from ..runtime import Facts, Shape, write_text
 from .images import data_url
 
 
@@ -95,7 +95,7 @@ class Page:
     foot: str = ""
     # A script's template, and what it reads.
     script: str = ""
-    data: Mapping[str, Any] = field(default_factory=dict)
+    data: Facts = field(default_factory=dict)
     # Seconds after which a browser loads the page again; 0 for never.
     refresh: int = 0
 

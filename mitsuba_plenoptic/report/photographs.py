@@ -119,8 +119,8 @@ def objective_image(
 ) -> Array:
     """Return the picture that the camera's objective takes without the array, focused at a depth, (rows, columns[, 3]).
 
-    Radiance is averaged over a pixel and over the light that passes the stop and the field stop; NaN where less than half
-    passes. In rgb variants the picture has colours.
+    Radiance is averaged over a pixel and over the light that passes the stop and the field stop; NaN where less than
+    half passes. In rgb variants the picture has colours.
 
     Parameters
     ----------

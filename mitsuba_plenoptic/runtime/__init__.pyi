@@ -9,12 +9,15 @@ from .backend import POINTS as POINTS
 from .backend import Array as Array
 from .backend import Backend as Backend
 from .backend import Doubles as Doubles
+from .backend import Facts as Facts
 from .backend import Flags as Flags
 from .backend import Floats as Floats
 from .backend import Integers as Integers
 from .backend import Named as Named
+from .backend import Numbers as Numbers
 from .backend import Pair as Pair
 from .backend import Shape as Shape
+from .backend import Sizes as Sizes
 from .backend import Triple as Triple
 from .backend import active_backend as active_backend
 from .backend import array_module as array_module

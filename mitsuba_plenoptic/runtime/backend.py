@@ -38,8 +38,15 @@ Flags = NDArray[np.bool_]
 Shape = tuple[int, int]
 """Numbers of rows and columns, or of columns and rows."""
 
+Sizes = tuple[int, ...]
+"""Shape of an array: numbers of samples along its axes."""
+
+Numbers = tuple[float, ...]
+"""Any number of coefficients, lengths or wavelengths."""
+
 Named = dict[str, Any]
-"""Values by name: parameters, options, facts of a file."""
+Facts = Mapping[str, Any]
+"""Values by name: parameters, options, facts of a file; those of `Facts` stay as they are."""
 
 Pair = tuple[Any, Any]
 Triple = tuple[Any, Any, Any]

@@ -17,7 +17,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Array, Doubles, Integers, Shape, require_memory, turn
+from ..runtime import Array, Doubles, Integers, Numbers, Shape, Sizes, require_memory, turn
 
 _ASIDE = 0.05
 """Displacement of lenses over the width of a bin up to which they are not interpolated."""
@@ -55,7 +55,7 @@ class LensGrid:
     shape: Shape
     rotation: float = 0.0
     shifted_rows: int | None = None
-    warp: tuple[float, ...] = ()
+    warp: Numbers = ()
     middle: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
@@ -281,7 +281,7 @@ def reduced(vectors: Array) -> Array:
         b = b - round(projection) * a
 
 
-def covering_grid(shape: tuple[int, ...], origin: Array, vectors: Array, shifted: bool) -> LensGrid:
+def covering_grid(shape: Sizes, origin: Array, vectors: Array, shifted: bool) -> LensGrid:
     """Return the grid of a lattice's lenses, counted from the first row and column needed for an image.
 
     Shapes: `shape` (int, int), `origin` (2,).

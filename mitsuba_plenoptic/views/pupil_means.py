@@ -18,7 +18,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..detector import DetectorOperator
 from ..optics import in_millimetres
-from ..runtime import Doubles
+from ..runtime import Doubles, Numbers
 
 # Samples across a pixel, and the most across the grid.
 _SAMPLES = 4
@@ -36,8 +36,8 @@ def light_of_views(
     spreads: tuple[float, float],
     texture: float,
     slope: float,
-    u: tuple[float, ...],
-    v: tuple[float, ...],
+    u: Numbers,
+    v: Numbers,
 ) -> tuple[Doubles, Doubles]:
     """Return the light (v, u) of views at steps along the pupil, and the sums (2, v, u) of light times its u and v.
 

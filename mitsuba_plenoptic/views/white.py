@@ -21,7 +21,7 @@ from ..fields import has_response
 from ..io import Capture, recording_of, require_demosaiced
 from ..optics import second_leg
 from ..rays import STAR, Passage, Walk, deflects_cosines, detector_rows, even_steps, lens_cells, light_of_cells
-from ..runtime import Array, Floats, array_module, as_pixels, fft, require_memory
+from ..runtime import Array, Floats, Sizes, array_module, as_pixels, fft, require_memory
 from .grid import LensGrid, lens_indices, lens_numbers, lens_types, lenses_of_pixels, micro_image_centres
 
 # Samples that see less of the pupil than this, or whose lens is darker, are left out: dividing by so little would only
@@ -270,7 +270,7 @@ def _of_own_lenses(camera: PlenopticCamera) -> Floats:
 
 
 def recorded_white(
-    white: Capture | Array, shape: tuple[int, ...], cameras: Sequence[PlenopticCamera], computed: Array | None = None
+    white: Capture | Array, shape: Sizes, cameras: Sequence[PlenopticCamera], computed: Array | None = None
 ) -> Array:
     """Return a recorded white image, (rows, columns, channels), in units of its radiance if the computed one is given.
 

@@ -36,7 +36,7 @@ from ..camera import Opening, PlenopticCamera
 from ..errors import WAVEFRONT_UNIT, refuse_if
 from ..fields import OpticalSystem
 from ..optics import in_millimetres
-from ..runtime import Doubles, Named, Pair, Shape, exponents, single_threaded_blas
+from ..runtime import Doubles, Named, Numbers, Pair, Shape, exponents, single_threaded_blas
 from .accuracy import FINER, USUAL
 from .fitted_pupil import FittedPupil, PupilFunctions
 from .lens_functions import LensFunctions, even_polynomials, of_middles
@@ -217,6 +217,6 @@ class PupilDiffraction:
 
 
 @functools.lru_cache(maxsize=8)
-def _fitted(aperture: Opening, waves: tuple[float, ...], degree: int) -> FittedPupil:
+def _fitted(aperture: Opening, waves: Numbers, degree: int) -> FittedPupil:
     """Return the functions and kernels of a pupil, cached for further wavelengths and captures."""
     return FittedPupil(samples_of(aperture, waves), degree)

@@ -9,14 +9,14 @@ from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses import Wavefront
 from ..optics import in_millimetres
-from ..runtime import Array, Doubles
+from ..runtime import Array, Doubles, Numbers
 from .accuracy import USUAL
 
 
 class PupilSamples:
     """Transmission of a pupil, sampled over a square whose coordinates are divided by the pupil's radius."""
 
-    def __init__(self, aperture: Opening, waves: tuple[float, ...] = ()):
+    def __init__(self, aperture: Opening, waves: Numbers = ()):
         """Take an opening, and coefficients of Noll's polynomials in waves of the light."""
         self.aperture = aperture
         # Power that passes at points of a grid that divides the samples, its means, and its integral over the square.

@@ -31,6 +31,7 @@ from ..runtime import (
     Box,
     Doubles,
     Flags,
+    Numbers,
     Pair,
     PartialSum,
     Shape,
@@ -609,7 +610,7 @@ class _Grid(NamedTuple):
     parts: int
     larger: float
     # Changes of the direction cosines from a pixel to its cells, and the order of B-splines of collected rays.
-    steps: tuple[tuple[float, ...], ...]
+    steps: tuple[Numbers, ...]
     order: int
 
     def for_pixels(self, plan: Plan, kernels: Doubles, keeps_light: bool) -> PixelKernels:

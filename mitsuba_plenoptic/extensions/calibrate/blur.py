@@ -21,7 +21,7 @@ from scipy.ndimage import map_coordinates
 from ...array import Lattice
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Numbers
 from .adjustment import Adjusted
 from .board_model import AT, Observations
 from .observations import placed
@@ -42,8 +42,8 @@ class Blur:
         RMS residual of the radii in pixels.
     """
 
-    focal_lengths: tuple[float, ...]
-    deviations: tuple[float, ...]
+    focal_lengths: Numbers
+    deviations: Numbers
     scale: float
     error: float
 

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...runtime import Array, Named, Progress, exponents, monomials
+from ...runtime import Array, Named, Progress, Sizes, exponents, monomials
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -29,7 +29,7 @@ _BINS = 2
 class FieldNumbers:
     """Polynomials over the field whose values are the numbers of `PupilNumbers` at a place."""
 
-    def __init__(self, size: tuple[int, ...], lenses: int, start: PupilNumbers, zero: tuple[str, ...] = ()):
+    def __init__(self, size: Sizes, lenses: int, start: PupilNumbers, zero: tuple[str, ...] = ()):
         """Start with the same numbers everywhere, on a picture of columns and rows, of degrees that lenses allow.
 
         Numbers named as `zero` stay so.

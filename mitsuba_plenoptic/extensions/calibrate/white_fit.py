@@ -9,7 +9,7 @@ from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import naming, refuse_if, require_wavelength
 from ...io import Capture
-from ...runtime import Array, Progress, single_threaded_blas
+from ...runtime import Array, Progress, Sizes, single_threaded_blas
 from .array_fit import ArrayFit, fit_array, lattice_index, places, require_alike
 from .field_fit import ZONE_LENSES, FieldNumbers, Judgement, WhiteRecording, zones_of
 from .fitted_camera import fitted_camera
@@ -206,7 +206,7 @@ def whole_lenses(recording: WhiteRecording, position: Array) -> Array:
     return complete
 
 
-def of_size(camera: PlenopticCamera, size: tuple[int, ...]) -> PlenopticCamera:
+def of_size(camera: PlenopticCamera, size: Sizes) -> PlenopticCamera:
     """Return a camera with a full film of columns and rows, and pixels as large as before."""
     if camera.crop_size == size and not camera.is_cropped:
         return camera

@@ -18,7 +18,7 @@ from ...design import depth_ranges
 from ...errors import naming, put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
-from ...runtime import Array, Named, drjit_array
+from ...runtime import Array, Facts, Named, drjit_array
 
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
@@ -102,7 +102,7 @@ class CaptureGenerator(Protocol):
         """What the arrays besides the captures are, by name."""
 
     def captures(
-        self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
+        self, camera: PlenopticCamera, options: Mapping[str, Facts], random: np.random.Generator
     ) -> tuple[dict[str, Capture], dict[str, Array]]:
         """Return captures by name, which begins with the model, and the arrays of `meanings`.
 

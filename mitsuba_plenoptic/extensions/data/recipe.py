@@ -25,7 +25,7 @@ from ...errors import (
 )
 from ...io import require_quantities
 from ...presets import PRESETS
-from ...runtime import DEFAULT_VARIANT, Named, Shape, read_yaml
+from ...runtime import DEFAULT_VARIANT, Facts, Named, Shape, read_yaml
 from ...scene import MOST_SAMPLES, UNITS
 from ...scene_files import scene_path
 from ..onchip.halves import require_layout
@@ -48,7 +48,7 @@ class Source:
     # How often it is chosen, in proportion to those of the others.
     share: float
     # The generator's settings or the scene's parameters, parsed by `parse`.
-    values: Mapping[str, Any]
+    values: Facts
     # Of the scene's lengths.
     unit: str = "mm"
 
@@ -68,9 +68,9 @@ class SamplePlan:
     detector: Detector | None
     photons: float | None
     # Of each model, as for `render_capture`.
-    options: Mapping[str, Mapping[str, Any]]
+    options: Mapping[str, Facts]
     # All drawn values by section, in plain JSON values.
-    draws: Mapping[str, Any]
+    draws: Facts
 
 
 @dataclass(frozen=True)
@@ -108,16 +108,16 @@ class Recipe:
     seed: int
     models: tuple[str, ...]
     variant: str
-    camera: Mapping[str, Any]
+    camera: Facts
     scenes: tuple[Source, ...]
-    light: Mapping[str, Any]
-    noise: Mapping[str, Any] | None
-    ray: Mapping[str, Any]
-    wave: Mapping[str, Any]
+    light: Facts
+    noise: Facts | None
+    ray: Facts
+    wave: Facts
     truth: tuple[str, ...]
     photodiodes: Shape | None
     samples_per_shard: int
-    content: Mapping[str, Any]
+    content: Facts
 
     def plan(self, index: int) -> SamplePlan:
         """Return the plan of a sample: everything that varies, drawn at random.
@@ -187,7 +187,7 @@ def read_recipe(path: str | Path) -> Recipe:
         return parse_recipe({"name": path.stem, **content}, path.parent)
 
 
-def parse_recipe(content: Mapping[str, Any], folder: Path = Path()) -> Recipe:
+def parse_recipe(content: Facts, folder: Path = Path()) -> Recipe:
     """Return the recipe described by plain values; scene files named in it lie in the folder.
 
     Parameters
@@ -275,14 +275,14 @@ def _source(index: int, entry: Any, folder: Path) -> Source:
     return Source(None, str(path.resolve()), share, parsed, unit)
 
 
-def _section(name: str, content: Mapping[str, Any], names: tuple[str, ...]) -> Named:
+def _section(name: str, content: Facts, names: tuple[str, ...]) -> Named:
     """Return the parsed values of a section of a recipe; refuse unknown names."""
     section = _values_by_name(name, content.get(name, {}))
     require_known(f"{name}: ", section, names)
     return {key: parse(f"{name}: {key}", value) for key, value in section.items()}
 
 
-def _values_by_name(name: str, values: Any) -> Mapping[str, Any]:
+def _values_by_name(name: str, values: Any) -> Facts:
     """Return a mapping; refuse anything else."""
     refuse_if(not isinstance(values, Mapping), f"{name} = {short_repr(values)}: it must be values by name")
     return values
@@ -360,7 +360,7 @@ def parse(name: str, value: Any) -> Any:
     return Between(low, high, log, step)
 
 
-def draw(values: Mapping[str, Any], seed: int, index: int, prefix: str) -> Named:
+def draw(values: Facts, seed: int, index: int, prefix: str) -> Named:
     """Return values drawn at random for one sample, by their names in a section."""
     return {
         name: value.draw(generator(seed, index, f"{prefix}.{name}")) if isinstance(value, (Between, OneOf)) else value

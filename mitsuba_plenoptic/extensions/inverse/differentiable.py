@@ -50,6 +50,7 @@ from ...runtime import (
     Array,
     Doubles,
     Floats,
+    Sizes,
     active_backend,
     as_array,
     check_memory,
@@ -95,7 +96,7 @@ class RayRefocus:
         self._factor = np.where(reached, 1 / np.where(reached, white, 1), 0.0)
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Sizes:
         """Rows and columns of the bins."""
         return self._factor.shape
 
@@ -166,7 +167,7 @@ class _RefocusOp(dr.CustomOp):
         return "refocusing"
 
 
-def as_channels(values: Any, shape: tuple[int, ...], name: str) -> Array:
+def as_channels(values: Any, shape: Sizes, name: str) -> Array:
     """Return an array as (rows, columns, channels), or refuse another shape."""
     array = as_array(name, values, dtype=None)
     if array.ndim not in (2, 3) or array.shape[:2] != shape:
@@ -208,9 +209,7 @@ class RefocusedImage:
             image_gradient, self._bins, "image_gradient", lambda channel, plane: channel.vjp(plane)
         )
 
-    def _of_channels(
-        self, values: Any, shape: tuple[int, ...], name: str, derived: Callable[[Channel, Array], Array]
-    ) -> Floats:
+    def _of_channels(self, values: Any, shape: Sizes, name: str, derived: Callable[[Channel, Array], Array]) -> Floats:
         channels = as_channels(values, shape, name)
         if channels.shape[2] != len(self._channels):
             raise InputError(f"{name} of {channels.shape[2]} channels: the capture has {len(self._channels)}")
@@ -279,7 +278,7 @@ class CoherentRefocus:
         self._factor = np.divide(1.0, divisor, out=np.zeros(divisor.shape), where=reached)
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Sizes:
         """Rows and columns of the bins."""
         return self._factor.shape
 
@@ -457,7 +456,7 @@ class DeconvolvedRefocus:
         self.visible = visible >= LEAST_SEEN
 
     @property
-    def shape(self) -> tuple[int, ...]:
+    def shape(self) -> Sizes:
         """Rows and columns of the bins."""
         return self.visible.shape
 

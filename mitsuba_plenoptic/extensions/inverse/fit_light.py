@@ -16,7 +16,7 @@ from ...io import Capture, digest, require_demosaiced, response_of
 from ...linear import PixelNoise
 from ...plugins.other_camera import with_camera
 from ...points import PupilWeights, brightness_at, check_positions, scene_points
-from ...runtime import Array, Doubles, Flags, Floats, as_array, as_pixels, one_at_a_time
+from ...runtime import Array, Doubles, Flags, Floats, Sizes, as_array, as_pixels, one_at_a_time
 from ...scene import SceneLight, chosen_integrator, plenoptic_sensor
 
 _LEAST_ELECTRONS = 1.0
@@ -265,7 +265,7 @@ def light_digest(views: list[View]) -> str:
     return digest(*arrays)
 
 
-def kept_numbers(arrays: Mapping[str, Array], shape: tuple[int, ...]) -> tuple[Doubles, int]:
+def kept_numbers(arrays: Mapping[str, Array], shape: Sizes) -> tuple[Doubles, int]:
     """Return a fit's numbers, and the count of cameras tried, from the arrays of its checkpoint."""
     x = arrays.get("numbers")
     tried = arrays.get("tried")

@@ -9,7 +9,7 @@ the input, which must be floating point. The functions run on the CPU as host ca
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if
 from ...points import CaptureOperator
-from ...runtime import Array, Pair, one_at_a_time
+from ...runtime import Array, Facts, Pair, Sizes, one_at_a_time
 from .array_functions import (
     ONCE,
     CameraCapture,
@@ -55,7 +55,7 @@ def adjoint(operator: CaptureOperator, images: Any) -> Any:
 def capture(
     make: Callable[[PlenopticCamera], CaptureOperator],
     camera: PlenopticCamera,
-    parameters: Mapping[str, Any],
+    parameters: Facts,
     weights: Any,
 ) -> Any:
     """Return captures of points by a camera, differentiable once with respect to given parameters and the weights.
@@ -79,7 +79,7 @@ def refocus(by: Refocus, captures: Any) -> Any:
     return _smooth.bind(captures, function=_latest(function))
 
 
-def render(scene: Any, values: Mapping[str, Any], *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
+def render(scene: Any, values: Facts, *, integrator: Any = None, spp: int = 0, seed: int = 0) -> Any:
     """Return the image of a scene with given parameters, as ``mi.render`` does, with first derivatives by them.
 
     The image has the type of the first value.
@@ -140,7 +140,7 @@ def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
     return called
 
 
-def _like(array: Any, shape: tuple[int, ...] | None = None) -> Any:
+def _like(array: Any, shape: Sizes | None = None) -> Any:
     """Return JAX's description of an array of the same type as `array`, with a given shape."""
     return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 

@@ -31,7 +31,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import Doubles, Floats, Named, software
+from ...runtime import Doubles, Facts, Floats, Named, Numbers, software
 from ...scene import render_capture
 from ...views import lens_numbers
 from ..calibrate.photon_transfer import electrons
@@ -295,7 +295,7 @@ def _control(
     return replace(real, light=pictures[0], white=pictures[1])
 
 
-def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[tuple[float, ...], Floats]:
+def _sheet(shape: Shape, others: Sequence[Shape], image: Floats) -> tuple[Numbers, Floats]:
     """Return the area in bins, and the radiance, of a shape's sheet, which reaches the other regions or the borders.
 
     The shape's edge is a sharp one, so that its width in the control is that of the camera and the method.
@@ -346,7 +346,7 @@ def draw(path: Path, camera: PlenopticCamera, pictures: Mapping[tuple[str, float
     plot.save(path)
 
 
-def _page(output: Path, judged: Mapping[str, Judged], placed: Mapping[str, Any], command: str) -> None:
+def _page(output: Path, judged: Mapping[str, Judged], placed: Facts, command: str) -> None:
     """Write the report."""
     titles = {"real": "Real light", "control": "Control: the same planes, simulated"}
     sections = []

@@ -19,7 +19,7 @@ from ...camera import PlenopticCamera, camera_and_record
 from ...detector import DetectorOperator
 from ...errors import naming, refuse_if, refusing, require_choice, require_number
 from ...io import Capture
-from ...runtime import Floats, read_text
+from ...runtime import Floats, Numbers, read_text
 from ...views import lens_numbers
 from ..calibrate.white_frames import sensor_pictures
 
@@ -34,7 +34,7 @@ class Shape:
     """A flat shape: its distance, and its areas by name as left, top, width and height in bins."""
 
     distance: float
-    areas: Mapping[str, tuple[float, ...]]
+    areas: Mapping[str, Numbers]
 
     def window(self, area: str, oversample: int = 1) -> tuple[slice, slice]:
         """Return the rows and columns of bins in one of the areas."""

@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import put_checked, refuse_if, require_choice, require_number
 from ...io import Capture
-from ...runtime import Array, Named
+from ...runtime import Array, Facts, Named
 from .flows import FLOWS, Flow, Vortex
 from .particle_images import ParticleImages
 from .seeding import ParticleVolume, Seeding, Window
@@ -81,7 +80,7 @@ class ParticlePairs:
         return replace(trial, **{names[0]: (factor * np.array(getattr(trial, names[0]))).tolist()})
 
     def captures(
-        self, camera: PlenopticCamera, options: Mapping[str, Mapping[str, Any]], random: np.random.Generator
+        self, camera: PlenopticCamera, options: Mapping[str, Facts], random: np.random.Generator
     ) -> tuple[dict[str, Capture], dict[str, Array]]:
         """Return both captures by each model, and the particles."""
         refuse_if(

@@ -20,7 +20,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_module
 from ...fields import OpticalSystem
 from ...points import BORDER, PupilWeights
-from ...runtime import Doubles, require_memory
+from ...runtime import Doubles, Numbers, require_memory
 from .seeding import Seeding, Window
 
 _LARGEST = 2000.0
@@ -97,7 +97,7 @@ class ScatteredLight:
     diameters: Doubles
     irradiance: Doubles
     # Direction in which the light travels.
-    direction: tuple[float, ...]
+    direction: Numbers
     seeding: Seeding
     window: Window
     # In vacuum, in nanometres.

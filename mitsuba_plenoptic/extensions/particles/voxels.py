@@ -13,7 +13,7 @@ from scipy.special import ndtr
 
 from ...camera import PlenopticCamera
 from ...errors import put, refuse_if, require_count, require_numbers, suggest_keywords
-from ...runtime import MILLIMETRES, POINTS, Array, Doubles, as_array, require_units
+from ...runtime import MILLIMETRES, POINTS, Array, Doubles, Sizes, as_array, require_units
 from .seeding import ParticleVolume, as_points
 
 _TRUNCATED = 4.0
@@ -31,7 +31,7 @@ class VoxelGrid(ParticleVolume):
         Numbers of voxels along z, y and x, as arrays have them.
     """
 
-    shape: tuple[int, ...]
+    shape: Sizes
 
     def __post_init__(self) -> None:
         super().__post_init__()

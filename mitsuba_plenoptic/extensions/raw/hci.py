@@ -18,7 +18,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_count, require_number, short_repr, warn
 from ...io import read_picture
 from ...report import images
-from ...runtime import Array, atomic_output, read_text, require_memory, write_text
+from ...runtime import Array, Sizes, atomic_output, read_text, require_memory, write_text
 from ...views import bin_grid, camera_of, disparity, light_field, warn_of_dark
 
 PARAMETERS = "parameters.cfg"
@@ -104,7 +104,7 @@ def _number(stated: dict[str, str], name: str) -> float:
         return float(stated[name])
 
 
-def _camera_of_array(geometry: list[float], shape: tuple[int, ...]) -> PlenopticCamera:
+def _camera_of_array(geometry: list[float], shape: Sizes) -> PlenopticCamera:
     """Return the plenoptic camera that sees views (v, u, t, s) as a rectified array of pinhole cameras does."""
     focal_length, sensor, baseline, focus = geometry
     views = max(shape[:2])

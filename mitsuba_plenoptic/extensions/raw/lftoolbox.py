@@ -19,7 +19,7 @@ import xarray as xr
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, refusing, require_choice, require_number
-from ...runtime import Named, atomic_output, h5py_module, require_file, require_memory, stored_array
+from ...runtime import Named, Sizes, atomic_output, h5py_module, require_file, require_memory, stored_array
 from ...views import LensGrid, bin_grid, grid_of, light_field, open_fraction, require_light_field, warn_of_dark
 
 # What is read of a lens grid.
@@ -135,7 +135,7 @@ def read_lftoolbox(path: str | Path) -> xr.DataArray:
         return light_field(values, weight, camera, bins, lenses, white)
 
 
-def _check(shape: tuple[int, ...]) -> None:
+def _check(shape: Sizes) -> None:
     refuse_if(
         len(shape) not in (4, 5) or (len(shape) == 5 and shape[4] not in (1, 2, 3, 4)) or min(shape) < 1,
         f"LF has the shape {shape}: it must be (t, s, v, u, c) with 1 to 4 channels",

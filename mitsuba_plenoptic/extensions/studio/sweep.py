@@ -23,6 +23,8 @@ from ...report import refocused
 from ...runtime import (
     Array,
     BatchMap,
+    Facts,
+    Numbers,
     Progress,
     Sink,
     atomic_output,
@@ -58,7 +60,7 @@ def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]
     return grid
 
 
-def check_grid(grid: Mapping[Any, Any]) -> dict[str, tuple[float, ...]]:
+def check_grid(grid: Mapping[Any, Any]) -> dict[str, Numbers]:
     """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
     checked = {}
     for name, values in grid.items():
@@ -91,7 +93,7 @@ class Points:
         self._method = method
         self._store = store
         # What the scene's sensor states, by the scene's parameters.
-        self._of_sensor: dict[str, Mapping[str, Any]] = {}
+        self._of_sensor: dict[str, Facts] = {}
         # Rows and columns, and of bins, of the largest images.
         self.largest: tuple[int, ...] = ()
         # Of the capture of each point, and of its reconstructions.

@@ -20,6 +20,7 @@ from ...runtime import (
     Floats,
     Integers,
     Job,
+    Numbers,
     PartialSum,
     SumTask,
     Threads,
@@ -257,7 +258,7 @@ class Differentials:
 
     @single_threaded_blas()
     def jvp(
-        self, weights: Doubles, directions: list[Direction], wavelengths: tuple[float, ...], matrix: Floats, job: Job
+        self, weights: Doubles, directions: list[Direction], wavelengths: Numbers, matrix: Floats, job: Job
     ) -> Floats:
         """Return the changes of the image in some directions, (rows, columns, directions times channels).
 
@@ -291,7 +292,7 @@ class Differentials:
         weights: Doubles,
         image: Floats,
         names: tuple[str, ...],
-        wavelengths: tuple[float, ...],
+        wavelengths: Numbers,
         matrix: Floats,
         job: Job,
     ) -> dict[str, Doubles]:
