@@ -21,10 +21,9 @@ def microscope(rng):
     pitch, z, focal_length = float(rng.uniform(0.4, 1.2)), float(rng.uniform(10, 25)), float(rng.uniform(60, 150))
     across = 2 * focal_length * aperture / magnification / pitch
     focal_length *= float(rng.uniform(2.2, 3.2)) / across
-    shape = str(rng.choice(["disc", "square"]))
     lens = mp.Objective(
         magnification, aperture, immersion, arrangement="fourier", fourier_focal_length=focal_length,
-        field_stop=0.4 * pitch * focal_length / z, field_stop_shape=shape,
+        field_stop=0.4 * pitch * focal_length / z, field_stop_shape=str(rng.choice(["disc", "square"])),
     )  # fmt: skip
     pixel = float(rng.uniform(1, 2.5)) * 550e-6 * z / pitch
     size = int(np.clip(3.6 * pitch / pixel, 60, 120)) // 2 * 2
@@ -32,17 +31,12 @@ def microscope(rng):
     focal_lengths = [(1.0,), (1.0,), (0.97,)] + [(1.0, 0.97, 1.04)] * (lattice == "hexagonal")
     focal_lengths = tuple((z * np.array(focal_lengths[rng.integers(len(focal_lengths))])).tolist())
     return mp.PlenopticCamera(
-        main_lens=lens,
-        mla_pitch=pitch,
-        mla_focal_length=focal_lengths[0] if len(focal_lengths) == 1 else focal_lengths,
-        detector_distance=z,
-        mla_lattice=lattice,
-        mla_rotation=float(rng.choice([0.0, 11.0])),
-        mla_aperture=str(rng.choice(["cell", "circle"])),
+        main_lens=lens, mla_pitch=pitch,
+        mla_focal_length=focal_lengths, detector_distance=z, mla_lattice=lattice,
+        mla_rotation=float(rng.choice([0.0, 11.0])), mla_aperture=str(rng.choice(["cell", "circle"])),
         mla_offset=tuple((pitch * rng.uniform(-0.5, 0.5, 2)).tolist()),
-        detector_width=size * pixel,
-        resolution=(size, size),
-    )
+        detector_width=size * pixel, resolution=(size, size),
+    )  # fmt: skip
 
 
 def plane(camera, rng, s=1.0):

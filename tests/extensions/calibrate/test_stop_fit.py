@@ -30,7 +30,6 @@ KNOWN = mp.PlenopticCamera(
 def test_a_microscope_is_found_from_its_white_picture(known, changes, lens):
     true = known.replace(main_lens=replace(known.main_lens, **lens), **changes)
     white = np.random.default_rng(0).poisson(sky(true, 64) * 500.0)
-    # Hot pixels, and dead ones.
     white[10:180:40, 15::40], white[30:180:40, 15::40] = 30000, 0
     fit = fit_stop(white, known)
     found = fit.camera
