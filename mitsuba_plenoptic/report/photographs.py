@@ -152,9 +152,14 @@ def objective_image(
     together = max(1, min(spp, 2**22 // passed.size))
     middle = dr.repeat(dr.arange(mi.UInt32, passed.size), together)
     row = middle // columns
+    # Samples in cells of the stop leave a fraction of the noise of independent ones.
+    across = math.isqrt(spp)
+    cells = across if across**2 == spp else 1
+    index = dr.tile(dr.arange(mi.UInt32, together), passed.size)
     for done in range(0, spp, together):
         random = random_numbers(done, dr.width(middle))
-        place, inside = random.next_2d(), random.next_2d()
+        place, cell = random.next_2d(), index + done
+        inside = (mi.Point2f(cell % cells, cell // cells % cells) + random.next_2d()) / cells
         x = (0.5 * columns - mi.Float(middle - row * columns) - place.x) * pixel
         y = (0.5 * rows - mi.Float(row) - place.y) * pixel
         stop = mi.warp.square_to_uniform_disk_concentric(inside) * (aperture * camera.aperture_radius)
