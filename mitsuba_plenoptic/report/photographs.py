@@ -149,16 +149,16 @@ def objective_image(
     total = np.zeros((3 if mi.is_rgb else 1, rows, columns))
     passed = np.zeros((rows, columns))
     # Samples of a pixel side by side, in passes of bounded size.
-    together = max(1, min(spp, 2**22 // passed.size))
-    middle = dr.repeat(dr.arange(mi.UInt32, passed.size), together)
-    row = middle // columns
+    together = max(1, 2**22 // passed.size)
     # Samples in cells of the stop leave a fraction of the noise of independent ones.
     across = math.isqrt(spp)
     cells = across if across**2 == spp else 1
-    index = dr.tile(dr.arange(mi.UInt32, together), passed.size)
     for done in range(0, spp, together):
+        count = min(together, spp - done)
+        middle = dr.repeat(dr.arange(mi.UInt32, passed.size), count)
+        row, cell = middle // columns, done + dr.tile(dr.arange(mi.UInt32, count), passed.size)
         random = random_numbers(done, dr.width(middle))
-        place, cell = random.next_2d(), index + done
+        place = random.next_2d()
         inside = (mi.Point2f(cell % cells, cell // cells % cells) + random.next_2d()) / cells
         x = (0.5 * columns - mi.Float(middle - row * columns) - place.x) * pixel
         y = (0.5 * rows - mi.Float(row) - place.y) * pixel
@@ -166,8 +166,8 @@ def objective_image(
         point, slope, is_open = telecentric_rays(camera, (x, y, distance), (stop.x, stop.y))
         # Of the channels of other variants one stands for all.
         values = light(point, slope, is_open, spp + done)[: len(total)]
-        total += np.array(values, dtype=np.float64).reshape(*total.shape, together).sum(axis=-1)
-        passed += np.array(is_open).reshape(rows, columns, together).sum(axis=-1)
+        total += np.array(values, dtype=np.float64).reshape(*total.shape, count).sum(axis=-1)
+        passed += np.array(is_open).reshape(rows, columns, count).sum(axis=-1)
     image = np.where(2 * passed >= passed.max(), total, np.nan) / np.maximum(passed, 1)
     return np.moveaxis(image, 0, -1) if mi.is_rgb else image[0]
 
