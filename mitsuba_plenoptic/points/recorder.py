@@ -72,6 +72,11 @@ class Recorder:
         return corners.min(0), corners.max(0)
 
     @property
+    def by_samples(self) -> bool:
+        """Whether samples are recorded all together, as others are made of them before, or on a CUDA device."""
+        return self._is_resampled or active_backend().is_cuda
+
+    @property
     def memory(self) -> float:
         """Number of bytes that a channel takes while it is recorded."""
         image = 4.0 * (self.box.rows * self.box.columns + 2 * math.prod(self._camera.shape))
@@ -107,6 +112,17 @@ class Recorder:
             samples = self._moved(integrals, move).adjoint(arrays.asarray(np.ascontiguousarray(channel, np.float32)))
             channels.append(samples if upright is None else upright.adjoint(samples))
         return channels[0][None] if len(channels) == 1 else arrays.stack(channels)
+
+    def within(self, box: Box) -> tuple[tuple[slice, slice], PixelIntegrals | None]:
+        """Return the pixels that feel samples of a box, and their integrals over these.
+
+        `by_samples` it is the box within the recorder's and None.
+        """
+        if self.by_samples:
+            return _slices(box, self.box), None
+        low, high = np.array([[[box.left, box.top]], [[box.left + box.columns, box.top + box.rows]]])
+        window = Recorder(self._camera, self._grid, low, high, self).window
+        return window, self._made[0].cut(window, _slices(box, self.box))
 
     def _moved(self, integrals: PixelIntegrals, move: str | None) -> PixelIntegrals:
         """Return the integrals over the pixels, or their changes as the pixels move."""

@@ -10,13 +10,14 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...linear import LinearMap
+from ...points import Recorder
 from ...runtime import Box, Floats, Integers, Part, Shape, active_backend, backend_of, on_all_cores, require_memory_for
 from .cells import BinCells, CellSet
 
@@ -171,12 +172,9 @@ def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
         which = np.flatnonzero(some)
         if len(which):
             lit = dense[libraries.arrays.asarray(which)][:, :, rows, columns]
-            matrix = lit.reshape(len(which) * dense.shape[1], -1) * scale
+            matrix = lit.swapaxes(0, 1).reshape(len(which) * dense.shape[1], -1) * scale
             blocks.append(SampleBlock(rows, columns, column_of[which], matrix))
     return Kernel(steps[retained], blocks)
-
-
-Result = TypeVar("Result")
 
 
 def zones(cells: CellSet, width: int) -> list[Integers]:
@@ -189,79 +187,107 @@ def zones(cells: CellSet, width: int) -> list[Integers]:
     return [np.flatnonzero(zone == zone_index) for zone_index in np.unique(zone)]
 
 
-class PlaneResponse:
-    """The light that the samples of all cells receive from the bins of an object plane."""
-
-    def __init__(self, cells: BinCells, sampled: CellSet, zones: Sequence[Integers], kernels: Sequence[Kernel]):
-        self._cells = cells
-        steps = np.concatenate([kernel.steps for kernel in kernels])
-        self.lit = sampled.grown(-steps.max(0), -steps.min(0))
-        asarray = active_backend().arrays.asarray
-        corners, _ = cells.corners(sampled)
-        self._zones = [
-            _Placed(
-                kernel.blocks,
-                [asarray(block.steps) for block in kernel.blocks],
-                asarray(corners[members, 1]),
-                asarray(corners[members, 0]),
-                asarray(self.lit.find(sampled.index[members][:, None] - kernel.steps).astype(np.int32)),
-            )
-            for members, kernel in zip(zones, kernels, strict=True)
-        ]
-
-    @property
-    def shape(self) -> Shape:
-        """Number of cells, and of bins in each."""
-        return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
-
-    def add_forward(self, values: Floats, samples: Any) -> None:
-        """Add the light of bins to the samples around all cells."""
-        arrays = active_backend().arrays
-        windows = self._cells.windows(samples)
-        padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
-
-        def work(zone: _Placed) -> None:
-            around = padded[zone.sources]
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                light = around[:, steps].reshape(len(around), -1) @ arrays.asarray(block.matrix)
-                target = windows[zone.y, zone.x, block.rows, block.columns]
-                windows[zone.y, zone.x, block.rows, block.columns] = target + light.reshape(target.shape)
-
-        _each(work, self._zones)
-
-    def adjoint(self, samples: Any) -> Floats:
-        """Return, for each bin, the samples around all cells weighted by the bin's light."""
-        arrays = active_backend().arrays
-        windows = self._cells.windows(samples)
-        bins = self.shape[1]
-        result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
-
-        def work(zone: _Placed) -> Any:
-            around = arrays.zeros((*zone.sources.shape, bins), np.float32)
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                block_samples = windows[zone.y, zone.x, block.rows, block.columns].reshape(len(around), -1)
-                light = block_samples @ arrays.asarray(block.matrix).T
-                around[:, steps] += light.reshape(len(around), len(block.steps), -1)
-            return around
-
-        for zone, around in zip(self._zones, _each(work, self._zones), strict=True):
-            for step in range(around.shape[1]):
-                # A step takes every cell to another; only what no bin lights is met twice.
-                result[zone.sources[:, step]] += around[:, step]
-        return active_backend().to_host(result)[:-1]
-
-
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, steps, the corners of its cells, and the cells that light them."""
+    """A zone on the backend's device: blocks, their steps, and the cells that light cells, by steps and runs.
+
+    Runs are as long as the longest; what is added has no light. The runs' rows and columns are those of the zone's box.
+    `window` has the pixels that the `integrals` over its samples light; without them, the box itself.
+    """
 
     blocks: list[SampleBlock]
     steps: list[Any]
-    y: Any
-    x: Any
     sources: Any
+    runs: list[tuple[slice, slice]]
+    box: Box
+    window: tuple[slice, slice]
+    integrals: Any
 
 
-def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> list[Result]:
-    """Return the results of zones, computed on all cores; a CUDA device takes its work from one thread."""
-    return [work(zone) for zone in zones] if active_backend().is_cuda else on_all_cores(work, zones)
+class PlaneResponse:
+    """The light that pixels, or the samples of all cells, receive from the bins of an object plane."""
+
+    def __init__(
+        self,
+        cells: BinCells,
+        sampled: CellSet,
+        zones: Sequence[Integers],
+        kernels: Sequence[Kernel],
+        recorder: Recorder,
+    ):
+        steps = np.concatenate([kernel.steps for kernel in kernels])
+        self.lit = sampled.grown(-steps.max(0), -steps.min(0))
+        # Number of cells, and of bins in each.
+        self.shape = len(self.lit), cells.bins[0] * cells.bins[1]
+        asarray = active_backend().arrays.asarray
+        corners, _ = cells.corners(sampled)
+        corner = recorder.box.left, recorder.box.top
+        width, height = self._size = cells.size
+        self._zones = []
+        for members, kernel in zip(zones, kernels, strict=True):
+            places = corners[members]
+            low = places.min(0)
+            box = Box.between(low + corner, places.max(0) + cells.size + corner)
+            _, first, count = np.unique(places[:, 1], return_index=True, return_counts=True)
+            inside = np.arange(count.max()) < count[:, None]
+            sources = np.full((len(kernel.steps), *inside.shape), len(self.lit), np.int32)
+            sources[:, inside] = self.lit.find(sampled.index[members] - kernel.steps[:, None])
+            runs = [
+                (slice(top, top + height), slice(left, left + cells_of_run * width))
+                for (left, top), cells_of_run in zip((places[first] - low).tolist(), count.tolist(), strict=True)
+            ]
+            window, integrals = recorder.within(box)
+            steps_of = [asarray(block.steps) for block in kernel.blocks]
+            self._zones.append(_Placed(kernel.blocks, steps_of, asarray(sources), runs, box, window, integrals))
+
+    def add_forward(self, values: Floats, image: Any) -> None:
+        """Add the light of bins to pixels or samples."""
+        arrays = active_backend().arrays
+        padded = arrays.asarray(np.pad(values.T, ((0, 0), (0, 1))))
+
+        def work(zone: _Placed) -> Any:
+            around = padded.take(zone.sources, 1)
+            light, samples = self._dark(zone)
+            for block, steps in zip(zone.blocks, zone.steps, strict=True):
+                target = light[:, block.rows, :, block.columns].swapaxes(1, 2)
+                sources = around.take(steps, 1).reshape(len(block.matrix), -1)
+                target[...] = (sources.T @ arrays.asarray(block.matrix)).reshape(target.shape)
+            for line, (rows, columns) in zip(light, zone.runs, strict=True):
+                part = samples[rows, columns]
+                part[...] = line.reshape(len(part), -1)[:, : part.shape[1]]
+            return samples if zone.integrals is None else zone.integrals.forward(samples)
+
+        for zone, part in zip(self._zones, on_all_cores(work, self._zones), strict=True):
+            image[zone.window] += part
+
+    def adjoint(self, image: Any) -> Floats:
+        """Return, for each bin, pixels or samples weighted by the bin's light."""
+        arrays = active_backend().arrays
+        cells, bins = self.shape
+
+        def work(zone: _Placed) -> Any:
+            samples = image[zone.window]
+            if zone.integrals is not None:
+                samples = zone.integrals.adjoint(samples)
+            light, _ = self._dark(zone)
+            for line, (rows, columns) in zip(light, zone.runs, strict=True):
+                line.reshape(len(line), -1)[:, : columns.stop - columns.start] = samples[rows, columns]
+            around = arrays.zeros((bins, *zone.sources.shape), np.float32)
+            for block, steps in zip(zone.blocks, zone.steps, strict=True):
+                lit = light[:, block.rows, :, block.columns].swapaxes(1, 2).reshape(-1, block.matrix.shape[1])
+                weighed = arrays.asarray(block.matrix) @ lit.T
+                around[:, steps] += weighed.reshape(bins, len(steps), *zone.sources.shape[1:])
+            return around
+
+        result = arrays.zeros((bins, cells + 1), np.float32)
+        for zone, around in zip(self._zones, on_all_cores(work, self._zones), strict=True):
+            for total, weighed in zip(result, around, strict=True):
+                total += arrays.bincount(zone.sources.ravel(), weighed.ravel(), cells + 1)
+        return active_backend().to_host(result)[:, :-1].T
+
+    def _dark(self, zone: _Placed) -> tuple[Any, Any]:
+        """Return dark samples of a zone, by runs, rows, cells and columns, and by rows and columns of its box."""
+        zeros = active_backend().arrays.zeros
+        _, runs, count = zone.sources.shape
+        width, height = self._size
+        return zeros((runs, height, count, width), np.float32), zeros((zone.box.rows, zone.box.columns), np.float32)

@@ -321,7 +321,8 @@ class Response(StoredResponse):
                 self._recorder.record(active_backend().arrays.asarray(samples)[None])[..., 0] for samples in sums
             )
             zone = np.stack([x, y]) / ones
-        own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
+        if wavelength or uneven:
+            own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
         # Far too many bins are refused before they are put into batches.
         stored = self._folder is not None
@@ -354,9 +355,12 @@ class Response(StoredResponse):
                 Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
                 for kernel in kernels
             ]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
-        # Gaps between lenses scatter half of it evenly.
-        self._far: Any = np.float32(np.mean(far or [0.0])) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
+            of_zones = [kernels[index] for index in owners]
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, of_zones, self._recorder))
+        self._far: Any = np.float32(0)
+        if far:
+            # Gaps between lenses scatter half of it evenly.
+            self._far = np.float32(np.mean(far)) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -576,19 +580,26 @@ class Response(StoredResponse):
     def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
         box = self._recorder.box
-        samples = active_backend().arrays.zeros((box.rows, box.columns), np.float32)
+        by_samples = self._recorder.by_samples
+        shape = (box.rows, box.columns) if by_samples else self.image_shape
+        image = active_backend().arrays.zeros(shape, np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
-            plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        image = self._recorder.record(samples[None])[..., 0]
-        return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
+            plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), image)
+        if by_samples:
+            image = self._recorder.record(image[None])[..., 0]
+        if np.any(self._far):
+            image += self._far * _around(self._camera, image)
+        return np.asarray(self._gain * image)
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
         light = self._gain * self._detector.adjoint(image)
-        light += _around(self._camera, self._far * light)
-        samples = self._recorder.spread(light[..., None])[0]
+        if np.any(self._far):
+            light += _around(self._camera, self._far * light)
+        if self._recorder.by_samples:
+            light = self._recorder.spread(light[..., None])[0]
         planes = zip(self.planes, self.bins, strict=True)
-        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes]) * self._bright
+        return np.concatenate([bins.share @ plane.adjoint(light).ravel() for plane, bins in planes]) * self._bright
 
 
 def _samples(bins: Iterable[Sequence[Any]]) -> int:
