@@ -9,7 +9,7 @@ are interpolated by the same functions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -225,23 +225,19 @@ class _Bands:
     """A sparse matrix as dense ones of 32 rows each, from their first to their last entry, which multiply faster."""
 
     def __init__(self, weights: scipy.sparse.csr_array):
-        self._count = weights.shape[0]
+        self._shape = weights.shape
         self._parts = []
-        for start in range(0, self._count, 32):
-            some = weights[start : start + 32]
-            columns = slice(some.indices.min(initial=weights.shape[1]), some.indices.max(initial=-1) + 1)
-            self._parts.append((slice(start, start + 32), columns, some[:, columns].toarray()))
+        for start in range(0, weights.shape[0], 32):
+            rows = slice(start, start + 32)
+            index = weights[rows].indices
+            columns = slice(index.min(initial=weights.shape[1]), index.max(initial=-1) + 1)
+            self._parts.append((rows, columns, weights[rows, columns].toarray()))
 
     def __matmul__(self, values: Floats) -> Floats:
         """Return the product with values, in their order in memory."""
-        result = np.empty((values.shape[1], self._count), values.dtype).T
-        if values.flags.c_contiguous:
-            result = np.empty(result.shape, values.dtype)
+        result = np.empty_like(values, shape=(self._shape[0], values.shape[1]))
         for rows, columns, weights in self._parts:
-            if values.flags.c_contiguous:
-                np.matmul(weights, values[columns], out=result[rows])
-            else:
-                result.T[:, rows] = values.T[:, columns] @ weights.T
+            result[rows] = weights @ values[columns]
         return result
 
 
@@ -280,6 +276,9 @@ class TurnedSamples:
         self._new_origin = new_origin
         self._shape = shape
         self._padded = samples[0] + 2 * HALF_WIDTH, samples[1] + 2 * HALF_WIDTH
+        # Lines of the new grid that are made together.
+        together = max(1, _BLOCK // shape[1])
+        self._blocks = [slice(top, min(shape[0], top + together)) for top in range(0, shape[0], together)]
         parts = (np.arange(_PARTS) + 0.5) / _PARTS
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
 
@@ -287,20 +286,20 @@ class TurnedSamples:
         """Return the intensity (rows, columns) interpolated at the new samples."""
         libraries = backend_of(intensity)
         types = libraries.types
-        arrays = libraries.arrays
-        values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
-        result = arrays.empty(self._shape, np.float32)
-        for lines, active, across, visit in self._visited(libraries):
+        values = drjit_array(types.Float, libraries.arrays.pad(intensity, HALF_WIDTH))
+        result = libraries.arrays.empty(self._shape, np.float32)
 
-            def add(row: Any, weight: Any, total: Any, active: Any = active, across: Any = across) -> Any:
-                line = types.Float(0)
-                for k in range(_TAPS):
-                    line = dr.fma(dr.gather(types.Float, values, row + k, active), across[k], line)
-                return dr.fma(line, weight, total)
+        def add(row: Any, weight: Any, total: Any, active: Any, across: list[Any]) -> Any:
+            line = types.Float(0)
+            for k in range(_TAPS):
+                line = dr.fma(dr.gather(types.Float, values, row + k, active), across[k], line)
+            return dr.fma(line, weight, total)
 
-            total = visit(add, dr.zeros(types.Float, dr.width(active)))
+        for lines in self._blocks:
+            part = result[lines]
+            total = self._visit(libraries, lines, dr.zeros(types.Float, part.size), add)
             dr.eval(total)
-            result[lines] = libraries.from_drjit(total).reshape(lines.stop - lines.start, -1)
+            part[...] = libraries.from_drjit(total).reshape(part.shape)
         return result
 
     def adjoint(self, samples: Floats) -> Floats:
@@ -310,74 +309,49 @@ class TurnedSamples:
         """
         libraries = backend_of(samples)
         types = libraries.types
-        sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
-        for lines, active, across, visit in self._visited(libraries):
-            line_samples = drjit_array(types.Float, samples[lines])
+        sums = dr.zeros(types.Float, math.prod(self._padded))
 
-            def spread(
-                row: Any,
-                weight: Any,
-                total: Any,
-                active: Any = active,
-                across: Any = across,
-                line_samples: Any = line_samples,
-            ) -> Any:
-                for k in range(_TAPS):
-                    dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
-                return total
+        def spread(row: Any, weight: Any, line_samples: Any, active: Any, across: list[Any]) -> Any:
+            for k in range(_TAPS):
+                dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
+            return line_samples
 
-            dr.eval(visit(spread, types.Float(0)), sums)
-        dr.eval(sums)
+        for lines in self._blocks:
+            dr.eval(self._visit(libraries, lines, drjit_array(types.Float, samples[lines]), spread), sums)
         inner = slice(HALF_WIDTH, -HALF_WIDTH)
         return libraries.arrays.ascontiguousarray(libraries.from_drjit(sums).reshape(self._padded)[inner, inner])
 
-    def _visited(
-        self, libraries: Backend
-    ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
-        """Yield lines of the new grid, with a mask of samples, weights across, and a loop over neighbouring rows."""
+    def _visit(self, libraries: Backend, lines: slice, total: Any, step: Callable[..., Any]) -> Any:
+        """Return `total` after a step for each neighbouring row of lines of the new grid, with weights across."""
         types = libraries.types
         table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples
-        height, width = self._shape
-        together = max(1, _BLOCK // width)
         # Opaque, so that other cameras do not compile kernels of their own.
-        step, degrees = (dr.opaque(types.Float64, float(value)) for value in (self._new_pitch, -self._degrees))
+        pitch, degrees = (dr.opaque(types.Float64, float(value)) for value in (self._new_pitch, -self._degrees))
         ends = [dr.opaque(types.Float64, float(HALF_WIDTH + size)) for size in (columns, rows)]
-        for top in range(0, height, together):
-            lines = slice(top, min(height, top + together))
-            count = (lines.stop - top) * width
-            row, column = fft.rows_and_columns(types, lines.stop - top, width)
-            x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
-            y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
-            if self._regular is not None:
-                x, y = self._regular(x, y)
-            first = []
-            entry = []
-            active = dr.full(types.Bool, True, count)
-            for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
-                position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
-                    types.Float64, 1 / self._pitch[axis]
-                ) + HALF_WIDTH
-                below = dr.floor(position)
-                active &= (below >= HALF_WIDTH - 1) & (below < end)
-                entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
-                first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, end - 1)) - (HALF_WIDTH - 1))
-            across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
-            start = first[1] * dr.opaque(types.UInt32, self._padded[1]) + first[0]
+        row, column = fft.rows_and_columns(types, lines.stop - lines.start, self._shape[1])
+        x = types.Float64(column) * pitch + dr.opaque(types.Float64, self._new_origin[0])
+        y = types.Float64(row) * pitch + dr.opaque(types.Float64, self._new_origin[1] + lines.start * self._new_pitch)
+        if self._regular is not None:
+            x, y = self._regular(x, y)
+        first = []
+        entry = []
+        active = dr.full(types.Bool, True, dr.width(row))
+        for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
+            position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
+                types.Float64, 1 / self._pitch[axis]
+            ) + HALF_WIDTH
+            below = dr.floor(position)
+            active &= (below >= HALF_WIDTH - 1) & (below < end)
+            entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
+            first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, end - 1)) - (HALF_WIDTH - 1))
+        across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
+        width = dr.opaque(types.UInt32, self._padded[1])
+        start = first[1] * width + first[0]
 
-            def visit(
-                step: Callable[[Any, Any, Any], Any],
-                total: Any,
-                start: Any = start,
-                entry: Any = entry[1],
-                active: Any = active,
-            ) -> Any:
-                def body(line: Any, total: Any) -> Pair:
-                    row = start + line * dr.opaque(types.UInt32, self._padded[1])
-                    weight = dr.gather(types.Float, table, entry + line, active)
-                    return line + 1, step(row, weight, total)
+        def body(line: Any, total: Any) -> Pair:
+            weight = dr.gather(types.Float, table, entry[1] + line, active)
+            return line + 1, step(start + line * width, weight, total, active, across)
 
-                line = dr.zeros(types.UInt32, dr.width(active))
-                return dr.while_loop((line, total), lambda line, total: line < _TAPS, body)[1]
-
-            yield lines, active, across, visit
+        line = dr.zeros(types.UInt32, dr.width(active))
+        return dr.while_loop((line, total), lambda line, total: line < _TAPS, body)[1]

@@ -62,6 +62,8 @@ class Recorder:
         left, top = (start - camera.crop_offset).tolist()
         self.window = slice(top, top + rows), slice(left, left + columns)
         self._is_resampled = grid.rotation != 0 or regular is not None
+        # Samples are recorded all at once where others are made of them before, and on a CUDA device.
+        self.by_samples = self._is_resampled or active_backend().is_cuda
 
     def _turned(self, low: Doubles, high: Doubles, degrees: float) -> tuple[Doubles, Doubles]:
         """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
@@ -70,11 +72,6 @@ class Recorder:
         x, y = (np.array([low[axis], low[axis], high[axis], high[axis]]) + self._grid.origin[axis] for axis in (0, 1))
         corners = np.stack(turn(x, y[[0, 2, 0, 2]], degrees), -1) - self._grid.origin
         return corners.min(0), corners.max(0)
-
-    @property
-    def by_samples(self) -> bool:
-        """Whether samples are recorded all together, as others are made of them before, or on a CUDA device."""
-        return self._is_resampled or active_backend().is_cuda
 
     @property
     def memory(self) -> float:
@@ -113,16 +110,12 @@ class Recorder:
             channels.append(samples if upright is None else upright.adjoint(samples))
         return channels[0][None] if len(channels) == 1 else arrays.stack(channels)
 
-    def within(self, box: Box) -> tuple[tuple[slice, slice], PixelIntegrals | None]:
-        """Return the pixels that feel samples of a box, and their integrals over these.
-
-        `by_samples` it is the box within the recorder's and None.
-        """
-        if self.by_samples:
-            return _slices(box, self.box), None
-        low, high = np.array([[[box.left, box.top]], [[box.left + box.columns, box.top + box.rows]]])
-        window = Recorder(self._camera, self._grid, low, high, self).window
-        return window, self._made[0].cut(window, _slices(box, self.box))
+    def within(self, low: Integers, high: Integers) -> Recorder:
+        """Return the recorder of some of the box's samples alone, from places x and y in the box to others."""
+        corner = np.array([[self.box.left, self.box.top]])
+        part = Recorder(self._camera, self._grid, corner + low, corner + high, self)
+        part.box = Box.between(corner[0] + low, corner[0] + high)
+        return part
 
     def _moved(self, integrals: PixelIntegrals, move: str | None) -> PixelIntegrals:
         """Return the integrals over the pixels, or their changes as the pixels move."""

@@ -189,19 +189,19 @@ def zones(cells: CellSet, width: int) -> list[Integers]:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: blocks, their steps, and the cells that light cells, by steps and runs.
+    """A zone on the backend's device: its blocks, steps, the corners of its cells, and the cells that light them.
 
-    Runs are as long as the longest; what is added has no light. The runs' rows and columns are those of the zone's box.
-    `window` has the pixels that the `integrals` over its samples light; without them, the box itself.
+    `window` has the pixels that its recorder makes of `shape` samples, or these samples themselves.
     """
 
     blocks: list[SampleBlock]
     steps: list[Any]
+    x: Any
+    y: Any
     sources: Any
-    runs: list[tuple[slice, slice]]
-    box: Box
-    window: tuple[slice, slice]
-    integrals: Any
+    shape: Shape
+    window: tuple[slice, ...]
+    recorder: Recorder | None
 
 
 class PlaneResponse:
@@ -215,30 +215,30 @@ class PlaneResponse:
         kernels: Sequence[Kernel],
         recorder: Recorder,
     ):
+        self._windows = cells.windows
         steps = np.concatenate([kernel.steps for kernel in kernels])
         self.lit = sampled.grown(-steps.max(0), -steps.min(0))
         # Number of cells, and of bins in each.
         self.shape = len(self.lit), cells.bins[0] * cells.bins[1]
         asarray = active_backend().arrays.asarray
         corners, _ = cells.corners(sampled)
-        corner = recorder.box.left, recorder.box.top
-        width, height = self._size = cells.size
         self._zones = []
         for members, kernel in zip(zones, kernels, strict=True):
-            places = corners[members]
-            low = places.min(0)
-            box = Box.between(low + corner, places.max(0) + cells.size + corner)
-            _, first, count = np.unique(places[:, 1], return_index=True, return_counts=True)
-            inside = np.arange(count.max()) < count[:, None]
-            sources = np.full((len(kernel.steps), *inside.shape), len(self.lit), np.int32)
-            sources[:, inside] = self.lit.find(sampled.index[members] - kernel.steps[:, None])
-            runs = [
-                (slice(top, top + height), slice(left, left + cells_of_run * width))
-                for (left, top), cells_of_run in zip((places[first] - low).tolist(), count.tolist(), strict=True)
-            ]
-            window, integrals = recorder.within(box)
-            steps_of = [asarray(block.steps) for block in kernel.blocks]
-            self._zones.append(_Placed(kernel.blocks, steps_of, asarray(sources), runs, box, window, integrals))
+            low = corners[members].min(0)
+            high = corners[members].max(0) + cells.size
+            part = None if recorder.by_samples else recorder.within(low, high)
+            columns, rows = map(slice, low, high)
+            self._zones.append(
+                _Placed(
+                    kernel.blocks,
+                    [asarray(block.steps) for block in kernel.blocks],
+                    *map(asarray, (corners[members] - low).T),
+                    asarray(self.lit.find(sampled.index[members] - kernel.steps[:, None]).astype(np.int32)),
+                    tuple((high - low)[::-1]),
+                    part.window if part else (rows, columns),
+                    part,
+                )
+            )
 
     def add_forward(self, values: Floats, image: Any) -> None:
         """Add the light of bins to pixels or samples."""
@@ -247,15 +247,13 @@ class PlaneResponse:
 
         def work(zone: _Placed) -> Any:
             around = padded.take(zone.sources, 1)
-            light, samples = self._dark(zone)
+            samples = arrays.zeros(zone.shape, np.float32)
+            windows = self._windows(samples)
             for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                target = light[:, block.rows, :, block.columns].swapaxes(1, 2)
-                sources = around.take(steps, 1).reshape(len(block.matrix), -1)
-                target[...] = (sources.T @ arrays.asarray(block.matrix)).reshape(target.shape)
-            for line, (rows, columns) in zip(light, zone.runs, strict=True):
-                part = samples[rows, columns]
-                part[...] = line.reshape(len(part), -1)[:, : part.shape[1]]
-            return samples if zone.integrals is None else zone.integrals.forward(samples)
+                light = around.take(steps, 1).reshape(len(block.matrix), -1).T @ arrays.asarray(block.matrix)
+                part = light.reshape(len(light), block.rows.stop - block.rows.start, -1)
+                windows[zone.y, zone.x, block.rows, block.columns] = part
+            return zone.recorder.integrate(samples) if zone.recorder else samples
 
         for zone, part in zip(self._zones, on_all_cores(work, self._zones), strict=True):
             image[zone.window] += part
@@ -266,17 +264,12 @@ class PlaneResponse:
         cells, bins = self.shape
 
         def work(zone: _Placed) -> Any:
-            samples = image[zone.window]
-            if zone.integrals is not None:
-                samples = zone.integrals.adjoint(samples)
-            light, _ = self._dark(zone)
-            for line, (rows, columns) in zip(light, zone.runs, strict=True):
-                line.reshape(len(line), -1)[:, : columns.stop - columns.start] = samples[rows, columns]
+            samples = zone.recorder.spread(image[..., None])[0] if zone.recorder else image[zone.window]
+            windows = self._windows(samples)
             around = arrays.zeros((bins, *zone.sources.shape), np.float32)
             for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                lit = light[:, block.rows, :, block.columns].swapaxes(1, 2).reshape(-1, block.matrix.shape[1])
-                weighed = arrays.asarray(block.matrix) @ lit.T
-                around[:, steps] += weighed.reshape(bins, len(steps), *zone.sources.shape[1:])
+                lit = windows[zone.y, zone.x, block.rows, block.columns].reshape(len(zone.x), -1)
+                around[:, steps] += (arrays.asarray(block.matrix) @ lit.T).reshape(bins, len(steps), -1)
             return around
 
         result = arrays.zeros((bins, cells + 1), np.float32)
@@ -284,10 +277,3 @@ class PlaneResponse:
             for total, weighed in zip(result, around, strict=True):
                 total += arrays.bincount(zone.sources.ravel(), weighed.ravel(), cells + 1)
         return active_backend().to_host(result)[:, :-1].T
-
-    def _dark(self, zone: _Placed) -> tuple[Any, Any]:
-        """Return dark samples of a zone, by runs, rows, cells and columns, and by rows and columns of its box."""
-        zeros = active_backend().arrays.zeros
-        _, runs, count = zone.sources.shape
-        width, height = self._size
-        return zeros((runs, height, count, width), np.float32), zeros((zone.box.rows, zone.box.columns), np.float32)
