@@ -141,10 +141,10 @@ class PixelIntegrals:
     def of(
         cls,
         samples: Shape,
-        pitch: tuple[float, float],
-        origin: tuple[float, float],
+        pitch: Doubles,
+        origin: Doubles,
         pixel_size: float,
-        first_edge: tuple[float, float],
+        first_edge: Doubles,
         shape: Shape,
         means: bool = False,
     ) -> PixelIntegrals:
@@ -259,11 +259,11 @@ class TurnedSamples:
     def __init__(
         self,
         samples: Shape,
-        pitch: tuple[float, float],
-        origin: tuple[float, float],
+        pitch: Doubles,
+        origin: Doubles,
         degrees: float,
         new_pitch: float,
-        new_origin: tuple[float, float],
+        new_origin: Doubles,
         shape: Shape,
         regular: Callable[[Any, Any], Pair] | None,
     ):

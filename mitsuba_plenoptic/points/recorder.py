@@ -143,33 +143,20 @@ class Recorder:
             return parent._made[0].cut(_slices(pixels, parent._pixels), _slices(box, parent.box)), None
         # X and y of the first pixel's corner and of the first sample, relative to the detector's corner.
         p = camera.pixel_size
-        edge = pixels.left * p, pixels.top * p
-        size = (camera.detector_width, camera.detector_height)
-        x, y = (np.array([box.left, box.top]) * grid.pitch + (grid.origin + np.array(size) / 2)).tolist()
-        origin = x, y
-        x, y = grid.pitch.tolist()
-        pitch = x, y
+        edge = np.array([pixels.left, pixels.top]) * p
+        size = np.array([camera.detector_width, camera.detector_height])
+        origin = np.array([box.left, box.top]) * grid.pitch + (grid.origin + size / 2)
+        pitch = grid.pitch
         samples = box.rows, box.columns
         upright = None
         if self._is_resampled:
-            step = min(pitch)
+            step = float(min(pitch))
             rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (pixels.rows, pixels.columns))
-            corner = edge[0] - _EDGE * step, edge[1] - _EDGE * step
+            corner = edge - _EDGE * step
             # The turn is about the axis.
-            x, y = grid.origin.tolist()
-            upright = TurnedSamples(
-                samples,
-                pitch,
-                (origin[0] + x, origin[1] + y),
-                grid.rotation,
-                step,
-                (corner[0] + x, corner[1] + y),
-                (rows, columns),
-                self._regular,
-            )
-            samples = rows, columns
-            pitch = step, step
-            origin = corner
+            places = origin + grid.origin, grid.rotation, step, corner + grid.origin
+            upright = TurnedSamples(samples, pitch, *places, (rows, columns), self._regular)
+            samples, pitch, origin = (rows, columns), np.full(2, step), corner
         shape = pixels.rows, pixels.columns
         return PixelIntegrals.of(samples, pitch, origin, p, edge, shape, grid.means), upright
 

@@ -18,17 +18,29 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...linear import LinearMap
 from ...points import Recorder
-from ...runtime import Box, Floats, Integers, Part, Shape, active_backend, backend_of, on_all_cores, require_memory_for
+from ...runtime import (
+    Box,
+    Floats,
+    Integers,
+    Part,
+    Shape,
+    active_backend,
+    add,
+    backend_of,
+    on_all_cores,
+    require_memory_for,
+)
 from .cells import BinCells, CellSet
 
 
-@dataclass(frozen=True)
+@dataclass
 class SampleBlock:
     """The light that one block of samples in a cell receives."""
 
     rows: slice
     columns: slice
-    steps: Integers
+    # On the backend's device.
+    steps: Any
     matrix: Floats
 
 
@@ -116,16 +128,13 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             box, sums = merged(patch.box, arrays.asarray(patch.sums)[0], together)
             reached = cells.holding(box)
             corners, around = cells.corners(reached)
-            whole = arrays.zeros((around.rows, around.columns), np.float32)
-            left = box.left - around.left
-            top = box.top - around.top
-            whole[top : top + box.rows, left : left + box.columns] = sums
+            whole = arrays.zeros((1, around.rows, around.columns), np.float32)
+            add(Part(box, sums[None]), around, whole)
             x, y = arrays.asarray(corners.T)
-            entries.append((spread_index, reached.index - cell, cells.windows(whole)[y, x]))
+            entries.append((spread_index, reached.index - cell, cells.windows(whole[0])[y, x]))
     low = np.min([index.min(0) for _, index, _ in entries], axis=0)
     size = np.max([index.max(0) for _, index, _ in entries], axis=0) - low + 1
-    count = len({spread_index for spread_index, _, _ in entries})
-    dense = arrays.zeros((int(size.prod()), count, *entries[0][2].shape[1:]), np.float32)
+    dense = arrays.zeros((int(size.prod()), spread_index + 1, *entries[0][2].shape[1:]), np.float32)
     for spread_index, index, values in entries:
         dense[arrays.asarray((index - low) @ [1, size[0]]), spread_index] += values
     steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
@@ -136,15 +145,14 @@ def merged(box: Box, samples: Floats, together: int) -> tuple[Box, Floats]:
     """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
-    left = box.left // together
-    top = box.top // together
-    columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
-    before = box.top - top * together, box.left - left * together
-    combined = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
-    combined[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
+    ends = [
+        (low % together, -(low + length) % together) for low, length in ((box.top, box.rows), (box.left, box.columns))
+    ]
+    padded = backend_of(samples).arrays.pad(samples, ends)
     # Plane by plane, which takes a fraction of the time of a sum along two short axes.
-    total = sum(combined[row::together, column::together] for row, column in np.ndindex(together, together))
-    return Box(left, top, columns - left, rows - top), total / np.float32(together**2)
+    means: Any = sum(padded[row::together, column::together] for row, column in np.ndindex(together, together))
+    rows, columns = means.shape
+    return Box(box.left // together, box.top // together, columns, rows), means / np.float32(together**2)
 
 
 def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
@@ -153,34 +161,30 @@ def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
     libraries.arrays.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
     # Blocks of about 8 samples along an axis.
     edges = [np.linspace(0, length, max(1, round(length / 8)) + 1).round().astype(int) for length in dense.shape[2:]]
-    parts = [
-        (slice(*rows), slice(*columns))
-        for rows, columns in itertools.product(*(itertools.pairwise(edge.tolist()) for edge in edges))
-    ]
+    parts = list(itertools.product(*(itertools.starmap(slice, itertools.pairwise(edge)) for edge in edges)))
     sums = [dense[:, :, rows, columns].sum(axis=(1, 2, 3), dtype=np.float64) for rows, columns in parts]
     power = libraries.to_host(libraries.arrays.stack(sums))
     order = np.sort(power, axis=None)
     upto = np.cumsum(order)
     dark = int(np.searchsorted(upto, 2e-3 * upto[-1]))  # so much of the power is left out
-    least = order[dark]
     scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
     blocks = []
-    bright = power >= least
+    bright = power >= order[dark]
     retained = np.flatnonzero(bright.any(axis=0))
     column_of = np.cumsum(bright.any(axis=0)) - 1
     for (rows, columns), some in zip(parts, bright, strict=True):
         which = np.flatnonzero(some)
         if len(which):
-            lit = dense[libraries.arrays.asarray(which)][:, :, rows, columns]
+            lit = dense[libraries.arrays.asarray(which), :, rows, columns]
             matrix = lit.swapaxes(0, 1).reshape(len(which) * dense.shape[1], -1) * scale
-            blocks.append(SampleBlock(rows, columns, column_of[which], matrix))
+            blocks.append(SampleBlock(rows, columns, libraries.arrays.asarray(column_of[which]), matrix))
     return Kernel(steps[retained], blocks)
 
 
 def zones(cells: CellSet, width: int) -> list[Integers]:
     """Return cells divided into zones `width` rows high and equally many cells wide."""
-    row = np.repeat(np.arange(len(cells.count)), cells.count)
-    column = np.arange(len(cells)) - cells.start[row]
+    row = cells.index[:, 1] - cells.top
+    column = cells.index[:, 0] - cells.first[row]
     along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
     # as even as they can be
     zone = row * down // len(cells.count) * along + np.minimum(column * along // int(cells.count.max()), along - 1)
@@ -189,15 +193,13 @@ def zones(cells: CellSet, width: int) -> list[Integers]:
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, steps, the corners of its cells, and the cells that light them.
+    """A zone on the backend's device: its blocks, rows and columns of its cells' corners, and cells that light them.
 
     `window` has the pixels that its recorder makes of `shape` samples, or these samples themselves.
     """
 
     blocks: list[SampleBlock]
-    steps: list[Any]
-    x: Any
-    y: Any
+    corners: Any
     sources: Any
     shape: Shape
     window: tuple[slice, ...]
@@ -231,8 +233,7 @@ class PlaneResponse:
             self._zones.append(
                 _Placed(
                     kernel.blocks,
-                    [asarray(block.steps) for block in kernel.blocks],
-                    *map(asarray, (corners[members] - low).T),
+                    asarray((corners[members] - low).T[::-1]),
                     asarray(self.lit.find(sampled.index[members] - kernel.steps[:, None]).astype(np.int32)),
                     tuple((high - low)[::-1]),
                     part.window if part else (rows, columns),
@@ -249,10 +250,10 @@ class PlaneResponse:
             around = padded.take(zone.sources, 1)
             samples = arrays.zeros(zone.shape, np.float32)
             windows = self._windows(samples)
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                light = around.take(steps, 1).reshape(len(block.matrix), -1).T @ arrays.asarray(block.matrix)
+            for block in zone.blocks:
+                light = around.take(block.steps, 1).reshape(len(block.matrix), -1).T @ arrays.asarray(block.matrix)
                 part = light.reshape(len(light), block.rows.stop - block.rows.start, -1)
-                windows[zone.y, zone.x, block.rows, block.columns] = part
+                windows[*zone.corners, block.rows, block.columns] = part
             return zone.recorder.integrate(samples) if zone.recorder else samples
 
         for zone, part in zip(self._zones, on_all_cores(work, self._zones), strict=True):
@@ -267,9 +268,9 @@ class PlaneResponse:
             samples = zone.recorder.spread(image[..., None])[0] if zone.recorder else image[zone.window]
             windows = self._windows(samples)
             around = arrays.zeros((bins, *zone.sources.shape), np.float32)
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                lit = windows[zone.y, zone.x, block.rows, block.columns].reshape(len(zone.x), -1)
-                around[:, steps] += (arrays.asarray(block.matrix) @ lit.T).reshape(bins, len(steps), -1)
+            for block in zone.blocks:
+                lit = windows[*zone.corners, block.rows, block.columns].reshape(around.shape[2], -1)
+                around[:, block.steps] += (arrays.asarray(block.matrix) @ lit.T).reshape(bins, len(block.steps), -1)
             return around
 
         result = arrays.zeros((bins, cells + 1), np.float32)

@@ -314,12 +314,10 @@ class Response(StoredResponse):
             seen = np.ones((3, len(self._sampled)), np.float32)
             for members, index in zip(groups, owners, strict=True):
                 seen[:2, members] = self.cells.middle(middles[index])[:, None]
-            sums = [np.zeros((self._recorder.box.rows, self._recorder.box.columns), np.float32) for _ in seen]
+            sums = np.zeros((3, self._recorder.box.rows, self._recorder.box.columns), np.float32)
             for some, samples in zip(seen, sums, strict=True):
                 self.cells.windows(samples)[corners[:, 1], corners[:, 0]] = some[:, None, None]
-            x, y, ones = (
-                self._recorder.record(active_backend().arrays.asarray(samples)[None])[..., 0] for samples in sums
-            )
+            x, y, ones = np.moveaxis(self._recorder.record(active_backend().arrays.asarray(sums)), -1, 0)
             zone = np.stack([x, y]) / ones
         if wavelength or uneven:
             own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
@@ -349,12 +347,10 @@ class Response(StoredResponse):
             if wavelength:
                 central = owners[len(owners) // 2]
                 far.append(self._far_light(kernels[central], distance, middles[central]))
-            matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
-            held = iter(self._stored(matrices, f"{len(self.planes)}"))
-            kernels = [
-                Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
-                for kernel in kernels
-            ]
+            blocks = [block for kernel in kernels for block in kernel.blocks]
+            matrices = self._stored([block.matrix for block in blocks], f"{len(self.planes)}")
+            for block, matrix in zip(blocks, matrices, strict=True):
+                block.matrix = matrix
             of_zones = [kernels[index] for index in owners]
             self.planes.append(PlaneResponse(self.cells, self._sampled, groups, of_zones, self._recorder))
         self._far: Any = np.float32(0)
@@ -416,9 +412,10 @@ class Response(StoredResponse):
     def _computed(self, bins: Sequence[Sequence[Any]], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
         """Return the results of the batches of bins, whose samples count as progress."""
         done = self._done
-        self._done += _samples(bins)
         batches = list(itertools.chain.from_iterable(bins))
-        return contextlib.closing(job.each(batches, [batch.samples for batch in batches], done, self._total))
+        samples = [batch.samples for batch in batches]
+        self._done += sum(samples)
+        return contextlib.closing(job.each(batches, samples, done, self._total))
 
     def _far_light(self, kernel: Kernel, distance: float, cell: Integers) -> float:
         """Return the light that falls beyond a cell's kernel, over that within.
@@ -610,10 +607,8 @@ def _samples(bins: Iterable[Sequence[Any]]) -> int:
 def _around(camera: PlenopticCamera, image: Floats) -> Floats:
     """Return the mean of an image over nine lenses around each, in blocks of a lens; a symmetric matrix."""
     width = max(1, round(camera.micro_image_pitch / camera.pixel_size))
-    rows, columns = (-(-size // width) for size in image.shape)
-    whole = np.zeros((rows * width, columns * width), np.float32)
-    whole[: image.shape[0], : image.shape[1]] = image
-    means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
+    whole = np.pad(image, [(0, -size % width) for size in image.shape])
+    means = whole.reshape(len(whole) // width, width, -1, width).sum(3).sum(1) / np.float32(width**2)
     around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
     return around[: image.shape[0], : image.shape[1]]
 
