@@ -70,9 +70,10 @@ class CellSet:
 class BinCells:
     """A camera's bins and samples, divided into cells."""
 
-    def __init__(self, grid: Grid, oversample: int):
+    def __init__(self, grid: Grid, along: int, across: int):
         self.grid = grid
-        self.oversample = oversample
+        # Bins along a lens and across it.
+        self.fineness = along, across
         # In the lattice frame.
         self.camera = camera = grid.camera
         # A lens's type is (i - j) modulo the count of types.
@@ -82,22 +83,23 @@ class BinCells:
         self.vectors = steps.astype(np.float64) @ np.array(camera.lattice.basis)
         self.samples = steps @ grid.lens_samples
         # Samples of a cell, bins of a cell, and millimetres of a bin on the MLA, along x and y. A side of a bin is at
-        # most the pitch along the rows over `oversample`.
+        # most the pitch along the rows over its fineness.
         self.size = int(self.samples[0, 0]), int(self.samples[1, 1])
         width, height = float(self.vectors[0, 0]), float(self.vectors[1, 1])
-        self.bins = oversample * types, math.ceil(oversample * height / camera.row_pitch * (1 - 1e-9))
+        self.bins = along * types, math.ceil(across * height / camera.row_pitch * (1 - 1e-9))
         self.bin_sizes = width / self.bins[0], height / self.bins[1]
         # Index of the sample on the axis, the first one of cell (0, 0).
         self.first_sample = np.rint(-grid.origin / grid.pitch).astype(np.int64)
 
-    def bin_places(self, cell: Integers, parts: int = 1) -> Doubles:
-        """Return points on the MLA that are evenly spaced in each bin of a cell."""
+    def bin_places(self, cell: Integers, points_along: float = 0.0) -> Doubles:
+        """Return points on the MLA that are evenly spaced in each bin of a cell, along a lens some or one in a bin."""
+        parts = [math.ceil(points_along / fine) or 1 for fine in self.fineness]
         x, y = (
-            (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
-            for count, size in zip(self.bins, self.bin_sizes, strict=True)
+            (np.arange(count * points).reshape(count, points) + 0.5) * (size / points)
+            for count, size, points in zip(self.bins, self.bin_sizes, parts, strict=True)
         )
         along_y, along_x = np.broadcast_arrays(y[:, None, :, None], x[None, :, None, :])
-        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
+        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], -1, 2)
         return positions + cell @ self.vectors
 
     def middle(self, cell: Integers) -> Doubles:

@@ -78,9 +78,9 @@ def wave_batches(
     # blur of 2 pitches hides; 4 along a period of the finest lines that the plane's light resolves.
     spots = 1.1 * pitch / airy if cells.camera.blur_diameter(distance) < 2 * pitch else 0.0
     # Bins finer than lenses show what 8 points leave of the finest fringes.
-    fewest = 8 if cells.oversample == 1 else 10
+    fewest = 8 if cells.fineness == (1, 1) else 10
     points_along = radiators or max(fewest, min(48, math.ceil(max(4 * lines, spots))))
-    places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
+    places = cells.bin_places(cell, points_along)
     weight = bin_weight(cells) / places.shape[1]
     if not lens.is_uniform:
         fitted = cast(FittedLens, lens)
@@ -251,11 +251,15 @@ class Response(StoredResponse):
             recorded = recorded.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
-        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, or finer ones.
-        repeated = camera.lattice.separable and camera.lattice.aspect == 1 and grid.lens.is_uniform
-        self.cells = BinCells(grid, oversample if repeated else max(6, oversample))
+        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, in every row or in
+        # every second, or finer ones.
+        along = across = max(6, oversample)
+        if grid.rotation == 0 and grid.lens.is_uniform:
+            along = oversample * camera.lattice.stagger
+            across = oversample if camera.lattice.rectangular and camera.lattice.aspect == 1 else across
+        self.cells = BinCells(grid, along, across)
         # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
-        rays = math.ceil(256 * math.sqrt(oversample / self.cells.oversample))
+        rays = math.ceil(256 * math.sqrt(oversample / math.sqrt(along * across)))
         self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         if wavelength:
             self._batches = functools.partial(wave_batches, fine)
@@ -266,13 +270,13 @@ class Response(StoredResponse):
         self._sampled = self.cells.holding(self._recorder.box)
         # Cells end beyond the samples on which pixels depend.
         corners, self._recorder.box = self.cells.corners(self._sampled)
-        kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
+        kernel_bytes = [self._kernel_memory(distance, oversample**2) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
         # The unit of work is a sample of a point spread, 16 ns on two cores of a processor of 2023; in it, a kernel's
         # sample and a product in a step of an inversion, which is a forward and an adjoint response.
-        step = (0.6 / self.cells.oversample**2 + 0.05) / 16
-        kernel_samples = sum(self._kernel_memory(distance, self.cells.oversample) for distance in distances) * _LIT / 4
+        step = (0.3 / (along * across) + 0.05) / 16
+        kernel_samples = sum(self._kernel_memory(distance, along * across) for distance in distances) * _LIT / 4
         applied = math.ceil(step * steps * kernel_samples * len(self._sampled))
         middle = self._middle(np.arange(len(self._sampled)))
         bins = [some for distance in distances for some in self._batches(self.cells, distance, middle)]
@@ -282,7 +286,7 @@ class Response(StoredResponse):
         groups = zones(self._sampled, _ZONE)
         if wavelength:
             # The light of 2 x 2 points of lenses in the middle and in 12 positions around it.
-            points = (wave_batches(fine, BinCells(grid, 1), distance, middle, 2) for distance in distances)
+            points = (wave_batches(fine, BinCells(grid, 1, 1), distance, middle, 2) for distance in distances)
             compared = 13 * _samples(itertools.chain(*points))
             self._done = 0
             self._total = compared + of_zone + applied
@@ -517,7 +521,7 @@ class Response(StoredResponse):
         middles of the borders the steepest counts, as if it went on to the corners.
         """
         index = self._sampled.index
-        cells = BinCells(self.cells.grid, 1)
+        cells = BinCells(self.cells.grid, 1, 1)
         places = index @ cells.vectors
         centre = (places.max(0) + places.min(0)) / 2
         reach = (places.max(0) - places.min(0)) / 2
@@ -549,21 +553,19 @@ class Response(StoredResponse):
             steepest = max(steepest, change / (bright * away))
         return steepest
 
-    def _kernel_memory(self, distance: float, oversample: int) -> float:
+    def _kernel_memory(self, distance: float, bins: float) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
         camera = self.cells.camera
         grid = self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
-        return float(
-            4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
-        )
+        return float(4 * across * down * bins * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths))
 
     def _require_memory(self, groups: int, on_disk: bool, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
-            oversample = math.ceil(oversample * self.cells.oversample / self._oversample)
-            kernel_bytes = [self._kernel_memory(distance, oversample) for distance in self._distances]
-            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(kernel_bytes)
+            of_lens = math.prod(self.cells.fineness) * (oversample / self._oversample) ** 2
+            kernel_bytes = [self._kernel_memory(distance, of_lens) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * of_lens * len(kernel_bytes)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(kernel_bytes) if on_disk else sum(kernel_bytes))
             return kernels + 2 * max(kernel_bytes) + 12 * bins + 4 * samples + self._recorder.memory + fields
