@@ -213,29 +213,29 @@ class PixelIntegrals:
             self._matrices[transposed] = [
                 [made(weights.T.tocsr() if transposed else weights) for weights in pair] for pair in self._terms
             ]
-        total = None
         with single_threaded_blas():
-            for down, across in self._matrices[transposed]:
-                product = down @ (across @ values.T).T if transposed else (across @ (down @ values).T).T
-                total = product if total is None else total + product
-        return libraries.arrays.ascontiguousarray(total)
+            first, *others = (
+                down @ (across @ values.T).T if transposed else (across @ (down @ values).T).T
+                for down, across in self._matrices[transposed]
+            )
+        return libraries.arrays.ascontiguousarray(sum(others, first))
 
 
 class _Bands:
     """A sparse matrix as dense ones of 32 rows each, from their first to their last entry, which multiply faster."""
 
     def __init__(self, weights: scipy.sparse.csr_array):
-        self._shape = weights.shape
+        self._count, width = weights.shape
         self._parts = []
-        for start in range(0, weights.shape[0], 32):
+        for start in range(0, self._count, 32):
             rows = slice(start, start + 32)
             index = weights[rows].indices
-            columns = slice(index.min(initial=weights.shape[1]), index.max(initial=-1) + 1)
+            columns = slice(index.min(initial=width), index.max(initial=-1) + 1)
             self._parts.append((rows, columns, weights[rows, columns].toarray()))
 
     def __matmul__(self, values: Floats) -> Floats:
         """Return the product with values, in their order in memory."""
-        result = np.empty_like(values, shape=(self._shape[0], values.shape[1]))
+        result = np.empty_like(values, shape=(self._count, values.shape[1]))
         for rows, columns, weights in self._parts:
             result[rows] = weights @ values[columns]
         return result

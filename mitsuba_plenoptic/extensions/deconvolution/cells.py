@@ -40,7 +40,7 @@ class CellSet:
     @cached_property
     def start(self) -> Integers:
         """Index of the first cell of each row."""
-        return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
+        return np.cumsum(self.count) - self.count
 
     @cached_property
     def index(self) -> Integers:
@@ -50,21 +50,21 @@ class CellSet:
 
     def find(self, index: Integers) -> Integers:
         """Return the number in this set of each cell I, J (..., 2); the length of the set for cells outside."""
-        row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
+        line = index[..., 1] - self.top
+        row = np.clip(line, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
-        inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
+        inside = (row == line) & (along >= 0) & (along < self.count[row])
         return np.where(inside, self.start[row] + along, len(self))
 
     def grown(self, low: Integers, high: Integers) -> CellSet:
         """Return the cells reached from this set by steps from `low` to `high`, both included."""
-        tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
-        first = np.full(len(tops), np.iinfo(np.int64).max)
-        last = np.full(len(tops), np.iinfo(np.int64).min)
-        for step in range(low[1], high[1] + 1):
-            rows = slice(step - low[1], step - low[1] + len(self.count))
+        first = np.full(len(self.count) + high[1] - low[1], 2**62)
+        last = -first
+        for step in range(high[1] - low[1] + 1):
+            rows = slice(step, step + len(self.count))
             first[rows] = np.minimum(first[rows], self.first + low[0])
             last[rows] = np.maximum(last[rows], self.first + self.count + high[0])
-        return CellSet(int(tops[0]), first, last - first)
+        return CellSet(int(self.top + low[1]), first, last - first)
 
 
 class BinCells:

@@ -132,12 +132,13 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             add(Part(box, sums[None]), around, whole)
             x, y = arrays.asarray(corners.T)
             entries.append((spread_index, reached.index - cell, cells.windows(whole[0])[y, x]))
-    low = np.min([index.min(0) for _, index, _ in entries], axis=0)
-    size = np.max([index.max(0) for _, index, _ in entries], axis=0) - low + 1
+    every = np.concatenate([index for _, index, _ in entries])
+    low = every.min(0)
+    size = every.max(0) - low + 1
     dense = arrays.zeros((int(size.prod()), spread_index + 1, *entries[0][2].shape[1:]), np.float32)
     for spread_index, index, values in entries:
         dense[arrays.asarray((index - low) @ [1, size[0]]), spread_index] += values
-    steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
+    steps = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense)
 
 
@@ -145,9 +146,8 @@ def merged(box: Box, samples: Floats, together: int) -> tuple[Box, Floats]:
     """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
-    ends = [
-        (low % together, -(low + length) % together) for low, length in ((box.top, box.rows), (box.left, box.columns))
-    ]
+    sides = (box.top, box.rows), (box.left, box.columns)
+    ends = [(low % together, -(low + length) % together) for low, length in sides]
     padded = backend_of(samples).arrays.pad(samples, ends)
     # Plane by plane, which takes a fraction of the time of a sum along two short axes.
     means: Any = sum(padded[row::together, column::together] for row, column in np.ndindex(together, together))
@@ -167,11 +167,11 @@ def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
     order = np.sort(power, axis=None)
     upto = np.cumsum(order)
     dark = int(np.searchsorted(upto, 2e-3 * upto[-1]))  # so much of the power is left out
-    scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
+    scale = np.float32(upto[-1] / (upto[-1] - upto[dark] + order[dark]))
     blocks = []
     bright = power >= order[dark]
-    retained = np.flatnonzero(bright.any(axis=0))
-    column_of = np.cumsum(bright.any(axis=0)) - 1
+    retained = bright.any(axis=0)
+    column_of = np.cumsum(retained) - 1
     for (rows, columns), some in zip(parts, bright, strict=True):
         which = np.flatnonzero(some)
         if len(which):
@@ -185,9 +185,10 @@ def zones(cells: CellSet, width: int) -> list[Integers]:
     """Return cells divided into zones `width` rows high and equally many cells wide."""
     row = cells.index[:, 1] - cells.top
     column = cells.index[:, 0] - cells.first[row]
-    along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
+    longest, rows = int(cells.count.max()), len(cells.count)
+    along, down = -(-longest // width), -(-rows // width)
     # as even as they can be
-    zone = row * down // len(cells.count) * along + np.minimum(column * along // int(cells.count.max()), along - 1)
+    zone = row * down // rows * along + np.minimum(column * along // longest, along - 1)
     return [np.flatnonzero(zone == zone_index) for zone_index in np.unique(zone)]
 
 

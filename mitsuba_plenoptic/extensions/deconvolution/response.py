@@ -326,12 +326,9 @@ class Response(StoredResponse):
         if wavelength or uneven:
             own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
-        # Far too many bins are refused before they are put into batches.
-        stored = self._folder is not None
-        self._require_memory(len(middles), stored)
         # Beside those that the threads compute, another one is prepared.
         most = max(batch.memory for some in bins for batch in some)
-        self._require_memory(len(middles), stored, (job.workers.threads + 1) * most)
+        self._require_memory(len(middles), self._folder is not None, (job.workers.threads + 1) * most)
         # How many zones there are is known by now: what is left has the rest of the progress.
         left = len(middles) * of_zone + applied
         self._done = compared * left // (of_zone + applied)
