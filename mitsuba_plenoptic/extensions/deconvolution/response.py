@@ -275,7 +275,7 @@ class Response(StoredResponse):
         self._require_memory(1, len(distances) > 1)
         # The unit of work is a sample of a point spread, 16 ns on two cores of a processor of 2023; in it, a kernel's
         # sample and a product in a step of an inversion, which is a forward and an adjoint response.
-        step = (0.3 / (along * across) + 0.05) / 16
+        step = (0.42 / (along * across) + 0.05) / 16
         kernel_samples = sum(self._kernel_memory(distance, along * across) for distance in distances) * _LIT / 4
         applied = math.ceil(step * steps * kernel_samples * len(self._sampled))
         middle = self._middle(np.arange(len(self._sampled)))
