@@ -2,8 +2,8 @@
 
 A page's blocks run in order, each page by itself in an empty folder with the files that it asks to save. A block that
 needs an extra says so in its first line, as ``# pip install 'mitsuba-plenoptic[sweep]'`` or ``# pip install pylops``,
-and is left out without the extra. Wrong is what lacks a name, a module, a command or an option. What lacks only what
-readers bring, or takes too long, is listed.
+and is left out without the extra, as are blocks that need its names. Wrong is what lacks a name, a module, a command or
+an option. What lacks only what readers bring, or takes too long, is listed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ WRONG = re.compile(
     r"|command not found|pip install "
 )
 EXTRAS = {
-    "matlab": "h5py", "calibration": "cv2", "sweep": "h5netcdf", "dataset": "h5py",
+    "matlab": "h5py", "calibration": "cv2", "sweep": "h5netcdf", "dataset": "h5py", "particles": "miepython",
     "torch": "torch", "jax": "jax", "lenses": "optiland", "ao": "hcipy", "distributed": "distributed",
 }  # fmt: skip
 """A module of each extra, by which it is known to be installed."""
@@ -55,11 +55,12 @@ def paste(page: Path, limit: int) -> None:
     text = page.read_text()
     for name, content in page_files(text).items():
         Path(name).write_text(content)
-    names = {"__name__": "__main__"}
+    names, left_out = {"__name__": "__main__"}, ""
     # Which ends a block with KeyboardInterrupt.
     signal.signal(signal.SIGALRM, signal.default_int_handler)
     for number, (kind, body) in enumerate(blocks(text), 1):
         told = "left out: an extra" if lacks(body) else "ok"
+        left_out += body * (told != "ok")
         if told == "ok":
             signal.alarm(limit)
             try:
@@ -71,7 +72,8 @@ def paste(page: Path, limit: int) -> None:
                         if done.returncode:
                             raise RuntimeError(f"{line}: {done.stderr.strip()[-300:]}")
             except BaseException as error:
-                told = f"{type(error).__name__}: {error}"
+                missing = isinstance(error, NameError) and re.search(rf"\b{error.name}\b", left_out)
+                told = "left out: an extra" if missing else f"{type(error).__name__}: {error}"
             finally:
                 signal.alarm(0)
         print("\n" + json.dumps([number, kind, told]), flush=True)

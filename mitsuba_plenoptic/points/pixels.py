@@ -9,7 +9,7 @@ are interpolated by the same functions.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,19 @@ import drjit as dr
 import numpy as np
 import scipy
 
-from ..runtime import Backend, Doubles, Floats, Integers, Pair, Shape, backend_of, drjit_array, fft, turn
+from ..runtime import (
+    Backend,
+    Doubles,
+    Floats,
+    Integers,
+    Pair,
+    Shape,
+    backend_of,
+    drjit_array,
+    fft,
+    single_threaded_blas,
+    turn,
+)
 
 HALF_WIDTH = 6
 """Samples on each side of a position from which the intensity there is interpolated."""
@@ -122,15 +134,17 @@ class PixelIntegrals:
     def __init__(self, along_x: PixelAxis, along_y: PixelAxis, terms: list[Pair] | None = None):
         self._axes = along_x, along_y
         self._terms = terms or [(along_y.weights, along_x.weights)]
+        # Made when they are first needed, those of the adjoint too.
+        self._matrices: dict[bool, list[list[Any]]] = {}
 
     @classmethod
     def of(
         cls,
         samples: Shape,
-        pitch: tuple[float, float],
-        origin: tuple[float, float],
+        pitch: Doubles,
+        origin: Doubles,
         pixel_size: float,
-        first_edge: tuple[float, float],
+        first_edge: Doubles,
         shape: Shape,
         means: bool = False,
     ) -> PixelIntegrals:
@@ -182,26 +196,49 @@ class PixelIntegrals:
 
     def forward(self, intensity: Floats) -> Floats:
         """Return the integrals over the pixels of samples (rows, columns) per mm², on the samples' device."""
-        return _sum_of_products(self._terms, intensity)
+        return self._sum(intensity, False)
 
     def adjoint(self, pixels: Floats) -> Floats:
         """Return the adjoint of the integrals: for each sample, the pixels weighted by the sample's contributions."""
-        return _sum_of_products([(along_y.T.tocsr(), along_x.T.tocsr()) for along_y, along_x in self._terms], pixels)
+        return self._sum(pixels, True)
+
+    def _sum(self, values: Any, transposed: bool) -> Any:
+        """Return the sum over terms of values (rows, columns) multiplied by weights along y and x, or their transposes.
+
+        Where samples are made from pixels, x comes first, as there are fewest rows then.
+        """
+        libraries = backend_of(values)
+        made = libraries.sparse.csr_matrix if libraries.is_cuda else _Bands
+        if transposed not in self._matrices:
+            self._matrices[transposed] = [
+                [made(weights.T.tocsr() if transposed else weights) for weights in pair] for pair in self._terms
+            ]
+        with single_threaded_blas():
+            first, *others = (
+                down @ (across @ values.T).T if transposed else (across @ (down @ values).T).T
+                for down, across in self._matrices[transposed]
+            )
+        return libraries.arrays.ascontiguousarray(sum(others, first))
 
 
-def _sum_of_products(terms: list[Pair], values: Any) -> Any:
-    """Return the sum over terms of values (rows, columns) multiplied by sparse weights along y and x.
+class _Bands:
+    """A sparse matrix as dense ones of 32 rows each, from their first to their last entry, which multiply faster."""
 
-    Where samples are made from pixels, x comes first, as there are fewest rows then.
-    """
-    libraries = backend_of(values)
-    total = None
-    for pair in terms:
-        down, across = map(libraries.sparse.csr_matrix, pair) if libraries.is_cuda else pair
-        many = pair[0].shape[0] > pair[0].shape[1]
-        product = down @ (across @ values.T).T if many else (across @ (down @ values).T).T
-        total = product if total is None else total + product
-    return libraries.arrays.ascontiguousarray(total)
+    def __init__(self, weights: scipy.sparse.csr_array):
+        self._count, width = weights.shape
+        self._parts = []
+        for start in range(0, self._count, 32):
+            rows = slice(start, start + 32)
+            index = weights[rows].indices
+            columns = slice(index.min(initial=width), index.max(initial=-1) + 1)
+            self._parts.append((rows, columns, weights[rows, columns].toarray()))
+
+    def __matmul__(self, values: Floats) -> Floats:
+        """Return the product with values, in their order in memory."""
+        result = np.empty_like(values, shape=(self._count, values.shape[1]))
+        for rows, columns, weights in self._parts:
+            result[rows] = weights @ values[columns]
+        return result
 
 
 _PARTS = 4096
@@ -222,11 +259,11 @@ class TurnedSamples:
     def __init__(
         self,
         samples: Shape,
-        pitch: tuple[float, float],
-        origin: tuple[float, float],
+        pitch: Doubles,
+        origin: Doubles,
         degrees: float,
         new_pitch: float,
-        new_origin: tuple[float, float],
+        new_origin: Doubles,
         shape: Shape,
         regular: Callable[[Any, Any], Pair] | None,
     ):
@@ -239,6 +276,9 @@ class TurnedSamples:
         self._new_origin = new_origin
         self._shape = shape
         self._padded = samples[0] + 2 * HALF_WIDTH, samples[1] + 2 * HALF_WIDTH
+        # Lines of the new grid that are made together.
+        together = max(1, _BLOCK // shape[1])
+        self._blocks = [slice(top, min(shape[0], top + together)) for top in range(0, shape[0], together)]
         parts = (np.arange(_PARTS) + 0.5) / _PARTS
         self._weights = windowed_sinc(parts[:, None] - np.arange(1 - HALF_WIDTH, 1 + HALF_WIDTH)).astype(np.float32)
 
@@ -246,20 +286,20 @@ class TurnedSamples:
         """Return the intensity (rows, columns) interpolated at the new samples."""
         libraries = backend_of(intensity)
         types = libraries.types
-        arrays = libraries.arrays
-        values = drjit_array(types.Float, arrays.pad(intensity, HALF_WIDTH))
-        result = arrays.empty(self._shape, np.float32)
-        for lines, active, across, visit in self._visited(libraries):
+        values = drjit_array(types.Float, libraries.arrays.pad(intensity, HALF_WIDTH))
+        result = libraries.arrays.empty(self._shape, np.float32)
 
-            def add(row: Any, weight: Any, total: Any, active: Any = active, across: Any = across) -> Any:
-                line = types.Float(0)
-                for k in range(_TAPS):
-                    line = dr.fma(dr.gather(types.Float, values, row + k, active), across[k], line)
-                return dr.fma(line, weight, total)
+        def add(row: Any, weight: Any, total: Any, active: Any, across: list[Any]) -> Any:
+            line = types.Float(0)
+            for k in range(_TAPS):
+                line = dr.fma(dr.gather(types.Float, values, row + k, active), across[k], line)
+            return dr.fma(line, weight, total)
 
-            total = visit(add, dr.zeros(types.Float, dr.width(active)))
+        for lines in self._blocks:
+            part = result[lines]
+            total = self._visit(libraries, lines, dr.zeros(types.Float, part.size), add)
             dr.eval(total)
-            result[lines] = libraries.from_drjit(total).reshape(lines.stop - lines.start, -1)
+            part[...] = libraries.from_drjit(total).reshape(part.shape)
         return result
 
     def adjoint(self, samples: Floats) -> Floats:
@@ -269,74 +309,49 @@ class TurnedSamples:
         """
         libraries = backend_of(samples)
         types = libraries.types
-        sums = dr.zeros(types.Float, self._padded[0] * self._padded[1])
-        for lines, active, across, visit in self._visited(libraries):
-            line_samples = drjit_array(types.Float, samples[lines])
+        sums = dr.zeros(types.Float, math.prod(self._padded))
 
-            def spread(
-                row: Any,
-                weight: Any,
-                total: Any,
-                active: Any = active,
-                across: Any = across,
-                line_samples: Any = line_samples,
-            ) -> Any:
-                for k in range(_TAPS):
-                    dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
-                return total
+        def spread(row: Any, weight: Any, line_samples: Any, active: Any, across: list[Any]) -> Any:
+            for k in range(_TAPS):
+                dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
+            return line_samples
 
-            dr.eval(visit(spread, types.Float(0)), sums)
-        dr.eval(sums)
+        for lines in self._blocks:
+            dr.eval(self._visit(libraries, lines, drjit_array(types.Float, samples[lines]), spread), sums)
         inner = slice(HALF_WIDTH, -HALF_WIDTH)
         return libraries.arrays.ascontiguousarray(libraries.from_drjit(sums).reshape(self._padded)[inner, inner])
 
-    def _visited(
-        self, libraries: Backend
-    ) -> Iterator[tuple[slice, Any, list[Any], Callable[[Callable[[Any, Any, Any], Any], Any], Any]]]:
-        """Yield lines of the new grid, with a mask of samples, weights across, and a loop over neighbouring rows."""
+    def _visit(self, libraries: Backend, lines: slice, total: Any, step: Callable[..., Any]) -> Any:
+        """Return `total` after a step for each neighbouring row of lines of the new grid, with weights across."""
         types = libraries.types
         table = drjit_array(types.Float, self._weights)
         rows, columns = self._samples
-        height, width = self._shape
-        together = max(1, _BLOCK // width)
         # Opaque, so that other cameras do not compile kernels of their own.
-        step, degrees = (dr.opaque(types.Float64, float(value)) for value in (self._new_pitch, -self._degrees))
+        pitch, degrees = (dr.opaque(types.Float64, float(value)) for value in (self._new_pitch, -self._degrees))
         ends = [dr.opaque(types.Float64, float(HALF_WIDTH + size)) for size in (columns, rows)]
-        for top in range(0, height, together):
-            lines = slice(top, min(height, top + together))
-            count = (lines.stop - top) * width
-            row, column = fft.rows_and_columns(types, lines.stop - top, width)
-            x = types.Float64(column) * step + dr.opaque(types.Float64, self._new_origin[0])
-            y = types.Float64(row) * step + dr.opaque(types.Float64, self._new_origin[1] + top * self._new_pitch)
-            if self._regular is not None:
-                x, y = self._regular(x, y)
-            first = []
-            entry = []
-            active = dr.full(types.Bool, True, count)
-            for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
-                position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
-                    types.Float64, 1 / self._pitch[axis]
-                ) + HALF_WIDTH
-                below = dr.floor(position)
-                active &= (below >= HALF_WIDTH - 1) & (below < end)
-                entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
-                first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, end - 1)) - (HALF_WIDTH - 1))
-            across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
-            start = first[1] * dr.opaque(types.UInt32, self._padded[1]) + first[0]
+        row, column = fft.rows_and_columns(types, lines.stop - lines.start, self._shape[1])
+        x = types.Float64(column) * pitch + dr.opaque(types.Float64, self._new_origin[0])
+        y = types.Float64(row) * pitch + dr.opaque(types.Float64, self._new_origin[1] + lines.start * self._new_pitch)
+        if self._regular is not None:
+            x, y = self._regular(x, y)
+        first = []
+        entry = []
+        active = dr.full(types.Bool, True, dr.width(row))
+        for axis, (position, end) in enumerate(zip(turn(x, y, degrees), ends, strict=True)):
+            position = (position - dr.opaque(types.Float64, self._origin[axis])) * dr.opaque(
+                types.Float64, 1 / self._pitch[axis]
+            ) + HALF_WIDTH
+            below = dr.floor(position)
+            active &= (below >= HALF_WIDTH - 1) & (below < end)
+            entry.append(types.UInt32(dr.clip((position - below) * _PARTS, 0, _PARTS - 1)) * _TAPS)
+            first.append(types.UInt32(dr.clip(below, HALF_WIDTH - 1, end - 1)) - (HALF_WIDTH - 1))
+        across = [dr.gather(types.Float, table, entry[0] + k) for k in range(_TAPS)]
+        width = dr.opaque(types.UInt32, self._padded[1])
+        start = first[1] * width + first[0]
 
-            def visit(
-                step: Callable[[Any, Any, Any], Any],
-                total: Any,
-                start: Any = start,
-                entry: Any = entry[1],
-                active: Any = active,
-            ) -> Any:
-                def body(line: Any, total: Any) -> Pair:
-                    row = start + line * dr.opaque(types.UInt32, self._padded[1])
-                    weight = dr.gather(types.Float, table, entry + line, active)
-                    return line + 1, step(row, weight, total)
+        def body(line: Any, total: Any) -> Pair:
+            weight = dr.gather(types.Float, table, entry[1] + line, active)
+            return line + 1, step(start + line * width, weight, total, active, across)
 
-                line = dr.zeros(types.UInt32, dr.width(active))
-                return dr.while_loop((line, total), lambda line, total: line < _TAPS, body)[1]
-
-            yield lines, active, across, visit
+        line = dr.zeros(types.UInt32, dr.width(active))
+        return dr.while_loop((line, total), lambda line, total: line < _TAPS, body)[1]

@@ -62,6 +62,8 @@ class Recorder:
         left, top = (start - camera.crop_offset).tolist()
         self.window = slice(top, top + rows), slice(left, left + columns)
         self._is_resampled = grid.rotation != 0 or regular is not None
+        # Samples are recorded all at once where others are made of them before, and on a CUDA device.
+        self.by_samples = self._is_resampled or active_backend().is_cuda
 
     def _turned(self, low: Doubles, high: Doubles, degrees: float) -> tuple[Doubles, Doubles]:
         """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
@@ -108,6 +110,13 @@ class Recorder:
             channels.append(samples if upright is None else upright.adjoint(samples))
         return channels[0][None] if len(channels) == 1 else arrays.stack(channels)
 
+    def within(self, low: Integers, high: Integers) -> Recorder:
+        """Return the recorder of some of the box's samples alone, from places x and y in the box to others."""
+        corner = np.array([[self.box.left, self.box.top]])
+        part = Recorder(self._camera, self._grid, corner + low, corner + high, self)
+        part.box = Box.between(corner[0] + low, corner[0] + high)
+        return part
+
     def _moved(self, integrals: PixelIntegrals, move: str | None) -> PixelIntegrals:
         """Return the integrals over the pixels, or their changes as the pixels move."""
         if move is None:
@@ -134,33 +143,20 @@ class Recorder:
             return parent._made[0].cut(_slices(pixels, parent._pixels), _slices(box, parent.box)), None
         # X and y of the first pixel's corner and of the first sample, relative to the detector's corner.
         p = camera.pixel_size
-        edge = pixels.left * p, pixels.top * p
-        size = (camera.detector_width, camera.detector_height)
-        x, y = (np.array([box.left, box.top]) * grid.pitch + (grid.origin + np.array(size) / 2)).tolist()
-        origin = x, y
-        x, y = grid.pitch.tolist()
-        pitch = x, y
+        edge = np.array([pixels.left, pixels.top]) * p
+        size = np.array([camera.detector_width, camera.detector_height])
+        origin = np.array([box.left, box.top]) * grid.pitch + (grid.origin + size / 2)
+        pitch = grid.pitch
         samples = box.rows, box.columns
         upright = None
         if self._is_resampled:
-            step = min(pitch)
+            step = float(min(pitch))
             rows, columns = (math.ceil(count * p / step) + 2 * _EDGE for count in (pixels.rows, pixels.columns))
-            corner = edge[0] - _EDGE * step, edge[1] - _EDGE * step
+            corner = edge - _EDGE * step
             # The turn is about the axis.
-            x, y = grid.origin.tolist()
-            upright = TurnedSamples(
-                samples,
-                pitch,
-                (origin[0] + x, origin[1] + y),
-                grid.rotation,
-                step,
-                (corner[0] + x, corner[1] + y),
-                (rows, columns),
-                self._regular,
-            )
-            samples = rows, columns
-            pitch = step, step
-            origin = corner
+            places = origin + grid.origin, grid.rotation, step, corner + grid.origin
+            upright = TurnedSamples(samples, pitch, *places, (rows, columns), self._regular)
+            samples, pitch, origin = (rows, columns), np.full(2, step), corner
         shape = pixels.rows, pixels.columns
         return PixelIntegrals.of(samples, pitch, origin, p, edge, shape, grid.means), upright
 

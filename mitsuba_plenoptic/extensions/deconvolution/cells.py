@@ -40,7 +40,7 @@ class CellSet:
     @cached_property
     def start(self) -> Integers:
         """Index of the first cell of each row."""
-        return np.concatenate([[0], np.cumsum(self.count)[:-1]]).astype(np.int64)
+        return np.cumsum(self.count) - self.count
 
     @cached_property
     def index(self) -> Integers:
@@ -50,29 +50,30 @@ class CellSet:
 
     def find(self, index: Integers) -> Integers:
         """Return the number in this set of each cell I, J (..., 2); the length of the set for cells outside."""
-        row = np.clip(index[..., 1] - self.top, 0, len(self.count) - 1)
+        line = index[..., 1] - self.top
+        row = np.clip(line, 0, len(self.count) - 1)
         along = index[..., 0] - self.first[row]
-        inside = (row == index[..., 1] - self.top) & (along >= 0) & (along < self.count[row])
+        inside = (row == line) & (along >= 0) & (along < self.count[row])
         return np.where(inside, self.start[row] + along, len(self))
 
     def grown(self, low: Integers, high: Integers) -> CellSet:
         """Return the cells reached from this set by steps from `low` to `high`, both included."""
-        tops = np.arange(self.top + low[1], self.top + len(self.count) + high[1])
-        first = np.full(len(tops), np.iinfo(np.int64).max)
-        last = np.full(len(tops), np.iinfo(np.int64).min)
-        for step in range(low[1], high[1] + 1):
-            rows = slice(step - low[1], step - low[1] + len(self.count))
+        first = np.full(len(self.count) + high[1] - low[1], 2**62)
+        last = -first
+        for step in range(high[1] - low[1] + 1):
+            rows = slice(step, step + len(self.count))
             first[rows] = np.minimum(first[rows], self.first + low[0])
             last[rows] = np.maximum(last[rows], self.first + self.count + high[0])
-        return CellSet(int(tops[0]), first, last - first)
+        return CellSet(int(self.top + low[1]), first, last - first)
 
 
 class BinCells:
     """A camera's bins and samples, divided into cells."""
 
-    def __init__(self, grid: Grid, oversample: int):
+    def __init__(self, grid: Grid, along: int, across: int):
         self.grid = grid
-        self.oversample = oversample
+        # Bins along a lens and across it.
+        self.fineness = along, across
         # In the lattice frame.
         self.camera = camera = grid.camera
         # A lens's type is (i - j) modulo the count of types.
@@ -82,22 +83,23 @@ class BinCells:
         self.vectors = steps.astype(np.float64) @ np.array(camera.lattice.basis)
         self.samples = steps @ grid.lens_samples
         # Samples of a cell, bins of a cell, and millimetres of a bin on the MLA, along x and y. A side of a bin is at
-        # most the pitch along the rows over `oversample`.
+        # most the pitch along the rows over its fineness.
         self.size = int(self.samples[0, 0]), int(self.samples[1, 1])
         width, height = float(self.vectors[0, 0]), float(self.vectors[1, 1])
-        self.bins = oversample * types, math.ceil(oversample * height / camera.row_pitch * (1 - 1e-9))
+        self.bins = along * types, math.ceil(across * height / camera.row_pitch * (1 - 1e-9))
         self.bin_sizes = width / self.bins[0], height / self.bins[1]
         # Index of the sample on the axis, the first one of cell (0, 0).
         self.first_sample = np.rint(-grid.origin / grid.pitch).astype(np.int64)
 
-    def bin_places(self, cell: Integers, parts: int = 1) -> Doubles:
-        """Return points on the MLA that are evenly spaced in each bin of a cell."""
+    def bin_places(self, cell: Integers, points_along: float = 0.0) -> Doubles:
+        """Return points on the MLA that are evenly spaced in each bin of a cell, along a lens some or one in a bin."""
+        parts = [math.ceil(points_along / fine) or 1 for fine in self.fineness]
         x, y = (
-            (np.arange(count * parts).reshape(count, parts) + 0.5) * (size / parts)
-            for count, size in zip(self.bins, self.bin_sizes, strict=True)
+            (np.arange(count * points).reshape(count, points) + 0.5) * (size / points)
+            for count, size, points in zip(self.bins, self.bin_sizes, parts, strict=True)
         )
         along_y, along_x = np.broadcast_arrays(y[:, None, :, None], x[None, :, None, :])
-        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], parts**2, 2)
+        positions = np.stack([along_x, along_y], axis=-1).reshape(self.bins[0] * self.bins[1], -1, 2)
         return positions + cell @ self.vectors
 
     def middle(self, cell: Integers) -> Doubles:

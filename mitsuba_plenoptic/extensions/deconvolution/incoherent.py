@@ -64,10 +64,10 @@ def refocus(task: Task) -> list[np.ndarray]:
                     ]
                 for channel in channels:
                     pixels = [*(image[..., channel] for image in images_of_plane), *whites]
-                    weighed = (
-                        response.adjoint(np.ascontiguousarray(channel_image, np.float32)) for channel_image in pixels
-                    )
-                    bins[channel] = [response.to_image(channel_image, 0) for channel_image in weighed]
+                    bins[channel] = [
+                        response.to_image(response.adjoint(np.ascontiguousarray(some, np.float32)), 0)
+                        for some in pixels
+                    ]
         *sums, divisor = (np.stack(parts, axis=-1) for parts in zip(*bins, strict=True))
         if camera.lens_data.converges:
             # As for all methods, bins that hardly any ray reaches are NaN, though light is diffracted there.

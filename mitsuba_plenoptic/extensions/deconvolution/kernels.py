@@ -10,24 +10,37 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...linear import LinearMap
-from ...runtime import Box, Floats, Integers, Part, Shape, active_backend, backend_of, on_all_cores, require_memory_for
+from ...points import Recorder
+from ...runtime import (
+    Box,
+    Floats,
+    Integers,
+    Part,
+    Shape,
+    active_backend,
+    add,
+    backend_of,
+    on_all_cores,
+    require_memory_for,
+)
 from .cells import BinCells, CellSet
 
 
-@dataclass(frozen=True)
+@dataclass
 class SampleBlock:
     """The light that one block of samples in a cell receives."""
 
     rows: slice
     columns: slice
-    steps: Integers
+    # On the backend's device.
+    steps: Any
     matrix: Floats
 
 
@@ -115,19 +128,17 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             box, sums = merged(patch.box, arrays.asarray(patch.sums)[0], together)
             reached = cells.holding(box)
             corners, around = cells.corners(reached)
-            whole = arrays.zeros((around.rows, around.columns), np.float32)
-            left = box.left - around.left
-            top = box.top - around.top
-            whole[top : top + box.rows, left : left + box.columns] = sums
+            whole = arrays.zeros((1, around.rows, around.columns), np.float32)
+            add(Part(box, sums[None]), around, whole)
             x, y = arrays.asarray(corners.T)
-            entries.append((spread_index, reached.index - cell, cells.windows(whole)[y, x]))
-    low = np.min([index.min(0) for _, index, _ in entries], axis=0)
-    size = np.max([index.max(0) for _, index, _ in entries], axis=0) - low + 1
-    count = len({spread_index for spread_index, _, _ in entries})
-    dense = arrays.zeros((int(size.prod()), count, *entries[0][2].shape[1:]), np.float32)
+            entries.append((spread_index, reached.index - cell, cells.windows(whole[0])[y, x]))
+    every = np.concatenate([index for _, index, _ in entries])
+    low = every.min(0)
+    size = every.max(0) - low + 1
+    dense = arrays.zeros((int(size.prod()), spread_index + 1, *entries[0][2].shape[1:]), np.float32)
     for spread_index, index, values in entries:
         dense[arrays.asarray((index - low) @ [1, size[0]]), spread_index] += values
-    steps = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).reshape(-1, 2) + low
+    steps = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).reshape(-1, 2) + low
     return sparse_kernel(steps, dense)
 
 
@@ -135,15 +146,13 @@ def merged(box: Box, samples: Floats, together: int) -> tuple[Box, Floats]:
     """Return means over `together` x `together` samples, and the box of these means on their grid."""
     if together == 1:
         return box, samples
-    left = box.left // together
-    top = box.top // together
-    columns, rows = (-(-end // together) for end in (box.left + box.columns, box.top + box.rows))
-    before = box.top - top * together, box.left - left * together
-    combined = backend_of(samples).arrays.zeros(((rows - top) * together, (columns - left) * together), np.float32)
-    combined[before[0] : before[0] + box.rows, before[1] : before[1] + box.columns] = samples
+    sides = (box.top, box.rows), (box.left, box.columns)
+    ends = [(low % together, -(low + length) % together) for low, length in sides]
+    padded = backend_of(samples).arrays.pad(samples, ends)
     # Plane by plane, which takes a fraction of the time of a sum along two short axes.
-    total = sum(combined[row::together, column::together] for row, column in np.ndindex(together, together))
-    return Box(left, top, columns - left, rows - top), total / np.float32(together**2)
+    means: Any = sum(padded[row::together, column::together] for row, column in np.ndindex(together, together))
+    rows, columns = means.shape
+    return Box(box.left // together, box.top // together, columns, rows), means / np.float32(together**2)
 
 
 def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
@@ -152,116 +161,121 @@ def sparse_kernel(steps: Integers, dense: Floats) -> Kernel:
     libraries.arrays.maximum(dense, 0, out=dense)  # negative values between samples are errors of interpolation
     # Blocks of about 8 samples along an axis.
     edges = [np.linspace(0, length, max(1, round(length / 8)) + 1).round().astype(int) for length in dense.shape[2:]]
-    parts = [
-        (slice(*rows), slice(*columns))
-        for rows, columns in itertools.product(*(itertools.pairwise(edge.tolist()) for edge in edges))
-    ]
+    parts = list(itertools.product(*(itertools.starmap(slice, itertools.pairwise(edge)) for edge in edges)))
     sums = [dense[:, :, rows, columns].sum(axis=(1, 2, 3), dtype=np.float64) for rows, columns in parts]
     power = libraries.to_host(libraries.arrays.stack(sums))
     order = np.sort(power, axis=None)
     upto = np.cumsum(order)
     dark = int(np.searchsorted(upto, 2e-3 * upto[-1]))  # so much of the power is left out
-    least = order[dark]
-    scale = np.float32(upto[-1] / (upto[-1] - (upto[dark - 1] if dark else 0)))
+    scale = np.float32(upto[-1] / (upto[-1] - upto[dark] + order[dark]))
     blocks = []
-    bright = power >= least
-    retained = np.flatnonzero(bright.any(axis=0))
-    column_of = np.cumsum(bright.any(axis=0)) - 1
+    bright = power >= order[dark]
+    retained = bright.any(axis=0)
+    column_of = np.cumsum(retained) - 1
     for (rows, columns), some in zip(parts, bright, strict=True):
         which = np.flatnonzero(some)
         if len(which):
-            lit = dense[libraries.arrays.asarray(which)][:, :, rows, columns]
-            matrix = lit.reshape(len(which) * dense.shape[1], -1) * scale
-            blocks.append(SampleBlock(rows, columns, column_of[which], matrix))
+            lit = dense[libraries.arrays.asarray(which), :, rows, columns]
+            matrix = lit.swapaxes(0, 1).reshape(len(which) * dense.shape[1], -1) * scale
+            blocks.append(SampleBlock(rows, columns, libraries.arrays.asarray(column_of[which]), matrix))
     return Kernel(steps[retained], blocks)
-
-
-Result = TypeVar("Result")
 
 
 def zones(cells: CellSet, width: int) -> list[Integers]:
     """Return cells divided into zones `width` rows high and equally many cells wide."""
-    row = np.repeat(np.arange(len(cells.count)), cells.count)
-    column = np.arange(len(cells)) - cells.start[row]
-    along, down = (-(-int(count) // width) for count in (cells.count.max(), len(cells.count)))
+    row = cells.index[:, 1] - cells.top
+    column = cells.index[:, 0] - cells.first[row]
+    longest, rows = int(cells.count.max()), len(cells.count)
+    along, down = -(-longest // width), -(-rows // width)
     # as even as they can be
-    zone = row * down // len(cells.count) * along + np.minimum(column * along // int(cells.count.max()), along - 1)
+    zone = row * down // rows * along + np.minimum(column * along // longest, along - 1)
     return [np.flatnonzero(zone == zone_index) for zone_index in np.unique(zone)]
-
-
-class PlaneResponse:
-    """The light that the samples of all cells receive from the bins of an object plane."""
-
-    def __init__(self, cells: BinCells, sampled: CellSet, zones: Sequence[Integers], kernels: Sequence[Kernel]):
-        self._cells = cells
-        steps = np.concatenate([kernel.steps for kernel in kernels])
-        self.lit = sampled.grown(-steps.max(0), -steps.min(0))
-        asarray = active_backend().arrays.asarray
-        corners, _ = cells.corners(sampled)
-        self._zones = [
-            _Placed(
-                kernel.blocks,
-                [asarray(block.steps) for block in kernel.blocks],
-                asarray(corners[members, 1]),
-                asarray(corners[members, 0]),
-                asarray(self.lit.find(sampled.index[members][:, None] - kernel.steps).astype(np.int32)),
-            )
-            for members, kernel in zip(zones, kernels, strict=True)
-        ]
-
-    @property
-    def shape(self) -> Shape:
-        """Number of cells, and of bins in each."""
-        return len(self.lit), self._cells.bins[0] * self._cells.bins[1]
-
-    def add_forward(self, values: Floats, samples: Any) -> None:
-        """Add the light of bins to the samples around all cells."""
-        arrays = active_backend().arrays
-        windows = self._cells.windows(samples)
-        padded = arrays.asarray(np.concatenate([values, np.zeros((1, values.shape[1]), np.float32)]))
-
-        def work(zone: _Placed) -> None:
-            around = padded[zone.sources]
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                light = around[:, steps].reshape(len(around), -1) @ arrays.asarray(block.matrix)
-                target = windows[zone.y, zone.x, block.rows, block.columns]
-                windows[zone.y, zone.x, block.rows, block.columns] = target + light.reshape(target.shape)
-
-        _each(work, self._zones)
-
-    def adjoint(self, samples: Any) -> Floats:
-        """Return, for each bin, the samples around all cells weighted by the bin's light."""
-        arrays = active_backend().arrays
-        windows = self._cells.windows(samples)
-        bins = self.shape[1]
-        result = arrays.zeros((len(self.lit) + 1, bins), np.float32)
-
-        def work(zone: _Placed) -> Any:
-            around = arrays.zeros((*zone.sources.shape, bins), np.float32)
-            for block, steps in zip(zone.blocks, zone.steps, strict=True):
-                block_samples = windows[zone.y, zone.x, block.rows, block.columns].reshape(len(around), -1)
-                light = block_samples @ arrays.asarray(block.matrix).T
-                around[:, steps] += light.reshape(len(around), len(block.steps), -1)
-            return around
-
-        for zone, around in zip(self._zones, _each(work, self._zones), strict=True):
-            for step in range(around.shape[1]):
-                # A step takes every cell to another; only what no bin lights is met twice.
-                result[zone.sources[:, step]] += around[:, step]
-        return active_backend().to_host(result)[:-1]
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """A zone on the backend's device: its blocks, steps, the corners of its cells, and the cells that light them."""
+    """A zone on the backend's device: its blocks, rows and columns of its cells' corners, and cells that light them.
+
+    `window` has the pixels that its recorder makes of `shape` samples, or these samples themselves.
+    """
 
     blocks: list[SampleBlock]
-    steps: list[Any]
-    y: Any
-    x: Any
+    corners: Any
     sources: Any
+    shape: Shape
+    window: tuple[slice, ...]
+    recorder: Recorder | None
 
 
-def _each(work: Callable[[_Placed], Result], zones: list[_Placed]) -> list[Result]:
-    """Return the results of zones, computed on all cores; a CUDA device takes its work from one thread."""
-    return [work(zone) for zone in zones] if active_backend().is_cuda else on_all_cores(work, zones)
+class PlaneResponse:
+    """The light that pixels, or the samples of all cells, receive from the bins of an object plane."""
+
+    def __init__(
+        self,
+        cells: BinCells,
+        sampled: CellSet,
+        zones: Sequence[Integers],
+        kernels: Sequence[Kernel],
+        recorder: Recorder,
+    ):
+        self._windows = cells.windows
+        steps = np.concatenate([kernel.steps for kernel in kernels])
+        self.lit = sampled.grown(-steps.max(0), -steps.min(0))
+        # Number of cells, and of bins in each.
+        self.shape = len(self.lit), cells.bins[0] * cells.bins[1]
+        asarray = active_backend().arrays.asarray
+        corners, _ = cells.corners(sampled)
+        self._zones = []
+        for members, kernel in zip(zones, kernels, strict=True):
+            low = corners[members].min(0)
+            high = corners[members].max(0) + cells.size
+            part = None if recorder.by_samples else recorder.within(low, high)
+            columns, rows = map(slice, low, high)
+            self._zones.append(
+                _Placed(
+                    kernel.blocks,
+                    asarray((corners[members] - low).T[::-1]),
+                    asarray(self.lit.find(sampled.index[members] - kernel.steps[:, None]).astype(np.int32)),
+                    tuple((high - low)[::-1]),
+                    part.window if part else (rows, columns),
+                    part,
+                )
+            )
+
+    def add_forward(self, values: Floats, image: Any) -> None:
+        """Add the light of bins to pixels or samples."""
+        arrays = active_backend().arrays
+        padded = arrays.asarray(np.pad(values.T, ((0, 0), (0, 1))))
+
+        def work(zone: _Placed) -> Any:
+            around = padded.take(zone.sources, 1)
+            samples = arrays.zeros(zone.shape, np.float32)
+            windows = self._windows(samples)
+            for block in zone.blocks:
+                light = around.take(block.steps, 1).reshape(len(block.matrix), -1).T @ arrays.asarray(block.matrix)
+                part = light.reshape(len(light), block.rows.stop - block.rows.start, -1)
+                windows[*zone.corners, block.rows, block.columns] = part
+            return zone.recorder.integrate(samples) if zone.recorder else samples
+
+        for zone, part in zip(self._zones, on_all_cores(work, self._zones), strict=True):
+            image[zone.window] += part
+
+    def adjoint(self, image: Any) -> Floats:
+        """Return, for each bin, pixels or samples weighted by the bin's light."""
+        arrays = active_backend().arrays
+        cells, bins = self.shape
+
+        def work(zone: _Placed) -> Any:
+            samples = zone.recorder.spread(image[..., None])[0] if zone.recorder else image[zone.window]
+            windows = self._windows(samples)
+            around = arrays.zeros((bins, *zone.sources.shape), np.float32)
+            for block in zone.blocks:
+                lit = windows[*zone.corners, block.rows, block.columns].reshape(around.shape[2], -1)
+                around[:, block.steps] += (arrays.asarray(block.matrix) @ lit.T).reshape(bins, len(block.steps), -1)
+            return around
+
+        result = arrays.zeros((bins, cells + 1), np.float32)
+        for zone, around in zip(self._zones, on_all_cores(work, self._zones), strict=True):
+            for total, weighed in zip(result, around, strict=True):
+                total += arrays.bincount(zone.sources.ravel(), weighed.ravel(), cells + 1)
+        return active_backend().to_host(result)[:, :-1].T

@@ -78,9 +78,9 @@ def wave_batches(
     # blur of 2 pitches hides; 4 along a period of the finest lines that the plane's light resolves.
     spots = 1.1 * pitch / airy if cells.camera.blur_diameter(distance) < 2 * pitch else 0.0
     # Bins finer than lenses show what 8 points leave of the finest fringes.
-    fewest = 8 if cells.oversample == 1 else 10
+    fewest = 8 if cells.fineness == (1, 1) else 10
     points_along = radiators or max(fewest, min(48, math.ceil(max(4 * lines, spots))))
-    places = cells.bin_places(cell, math.ceil(points_along / cells.oversample))
+    places = cells.bin_places(cell, points_along)
     weight = bin_weight(cells) / places.shape[1]
     if not lens.is_uniform:
         fitted = cast(FittedLens, lens)
@@ -251,11 +251,15 @@ class Response(StoredResponse):
             recorded = recorded.at_wavelength(wavelength)
             fine, self._together = wave_grid(camera, distances, wavelength)
             grid = fine.merged(self._together)
-        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, or finer ones.
-        repeated = camera.lattice.separable and camera.lattice.aspect == 1 and grid.lens.is_uniform
-        self.cells = BinCells(grid, oversample if repeated else max(6, oversample))
+        # As many bins of cells along a lens as of a reconstruction if they repeat with lenses, in every row or in
+        # every second, or finer ones.
+        along = across = max(6, oversample)
+        if grid.rotation == 0 and grid.lens.is_uniform:
+            along = oversample * camera.lattice.stagger
+            across = oversample if camera.lattice.rectangular and camera.lattice.aspect == 1 else across
+        self.cells = BinCells(grid, along, across)
         # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
-        rays = math.ceil(256 * math.sqrt(oversample / self.cells.oversample))
+        rays = math.ceil(256 * math.sqrt(oversample / math.sqrt(along * across)))
         self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
         if wavelength:
             self._batches = functools.partial(wave_batches, fine)
@@ -266,13 +270,13 @@ class Response(StoredResponse):
         self._sampled = self.cells.holding(self._recorder.box)
         # Cells end beyond the samples on which pixels depend.
         corners, self._recorder.box = self.cells.corners(self._sampled)
-        kernel_bytes = [self._kernel_memory(distance, oversample) for distance in distances]
+        kernel_bytes = [self._kernel_memory(distance, oversample**2) for distance in distances]
         # Far too large kernels are refused before the light of some is computed.
         self._require_memory(1, len(distances) > 1)
         # The unit of work is a sample of a point spread, 16 ns on two cores of a processor of 2023; in it, a kernel's
         # sample and a product in a step of an inversion, which is a forward and an adjoint response.
-        step = (0.6 / self.cells.oversample**2 + 0.05) / 16
-        kernel_samples = sum(self._kernel_memory(distance, self.cells.oversample) for distance in distances) * _LIT / 4
+        step = (0.42 / (along * across) + 0.05) / 16
+        kernel_samples = sum(self._kernel_memory(distance, along * across) for distance in distances) * _LIT / 4
         applied = math.ceil(step * steps * kernel_samples * len(self._sampled))
         middle = self._middle(np.arange(len(self._sampled)))
         bins = [some for distance in distances for some in self._batches(self.cells, distance, middle)]
@@ -282,7 +286,7 @@ class Response(StoredResponse):
         groups = zones(self._sampled, _ZONE)
         if wavelength:
             # The light of 2 x 2 points of lenses in the middle and in 12 positions around it.
-            points = (wave_batches(fine, BinCells(grid, 1), distance, middle, 2) for distance in distances)
+            points = (wave_batches(fine, BinCells(grid, 1, 1), distance, middle, 2) for distance in distances)
             compared = 13 * _samples(itertools.chain(*points))
             self._done = 0
             self._total = compared + of_zone + applied
@@ -314,21 +318,17 @@ class Response(StoredResponse):
             seen = np.ones((3, len(self._sampled)), np.float32)
             for members, index in zip(groups, owners, strict=True):
                 seen[:2, members] = self.cells.middle(middles[index])[:, None]
-            sums = [np.zeros((self._recorder.box.rows, self._recorder.box.columns), np.float32) for _ in seen]
+            sums = np.zeros((3, self._recorder.box.rows, self._recorder.box.columns), np.float32)
             for some, samples in zip(seen, sums, strict=True):
                 self.cells.windows(samples)[corners[:, 1], corners[:, 0]] = some[:, None, None]
-            x, y, ones = (
-                self._recorder.record(active_backend().arrays.asarray(samples)[None])[..., 0] for samples in sums
-            )
+            x, y, ones = np.moveaxis(self._recorder.record(active_backend().arrays.asarray(sums)), -1, 0)
             zone = np.stack([x, y]) / ones
-        own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
+        if wavelength or uneven:
+            own, whole, beyond = _dimmed(recorded, self.cells.grid.lens, lens, zone, wavelength or 0.0)
         self._store(len(distances) > 1 and _LIT * len(middles) * sum(kernel_bytes) > _MEMORY)
-        # Far too many bins are refused before they are put into batches.
-        stored = self._folder is not None
-        self._require_memory(len(middles), stored)
         # Beside those that the threads compute, another one is prepared.
         most = max(batch.memory for some in bins for batch in some)
-        self._require_memory(len(middles), stored, (job.workers.threads + 1) * most)
+        self._require_memory(len(middles), self._folder is not None, (job.workers.threads + 1) * most)
         # How many zones there are is known by now: what is left has the rest of the progress.
         left = len(middles) * of_zone + applied
         self._done = compared * left // (of_zone + applied)
@@ -348,15 +348,16 @@ class Response(StoredResponse):
             if wavelength:
                 central = owners[len(owners) // 2]
                 far.append(self._far_light(kernels[central], distance, middles[central]))
-            matrices = [block.matrix for kernel in kernels for block in kernel.blocks]
-            held = iter(self._stored(matrices, f"{len(self.planes)}"))
-            kernels = [
-                Kernel(kernel.steps, [replace(block, matrix=next(held)) for block in kernel.blocks])
-                for kernel in kernels
-            ]
-            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, [kernels[index] for index in owners]))
-        # Gaps between lenses scatter half of it evenly.
-        self._far: Any = np.float32(np.mean(far or [0.0])) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
+            blocks = [block for kernel in kernels for block in kernel.blocks]
+            matrices = self._stored([block.matrix for block in blocks], f"{len(self.planes)}")
+            for block, matrix in zip(blocks, matrices, strict=True):
+                block.matrix = matrix
+            of_zones = [kernels[index] for index in owners]
+            self.planes.append(PlaneResponse(self.cells, self._sampled, groups, of_zones, self._recorder))
+        self._far: Any = np.float32(0)
+        if far:
+            # Gaps between lenses scatter half of it evenly.
+            self._far = np.float32(np.mean(far)) * (beyond if camera.lattice.fills else (1 + beyond) / 2)
         self.bins = [
             UprightBins.over(self.cells, plane.lit, camera, distance, oversample)
             for plane, distance in zip(self.planes, distances, strict=True)
@@ -412,9 +413,10 @@ class Response(StoredResponse):
     def _computed(self, bins: Sequence[Sequence[Any]], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
         """Return the results of the batches of bins, whose samples count as progress."""
         done = self._done
-        self._done += _samples(bins)
         batches = list(itertools.chain.from_iterable(bins))
-        return contextlib.closing(job.each(batches, [batch.samples for batch in batches], done, self._total))
+        samples = [batch.samples for batch in batches]
+        self._done += sum(samples)
+        return contextlib.closing(job.each(batches, samples, done, self._total))
 
     def _far_light(self, kernel: Kernel, distance: float, cell: Integers) -> float:
         """Return the light that falls beyond a cell's kernel, over that within.
@@ -516,7 +518,7 @@ class Response(StoredResponse):
         middles of the borders the steepest counts, as if it went on to the corners.
         """
         index = self._sampled.index
-        cells = BinCells(self.cells.grid, 1)
+        cells = BinCells(self.cells.grid, 1, 1)
         places = index @ cells.vectors
         centre = (places.max(0) + places.min(0)) / 2
         reach = (places.max(0) - places.min(0)) / 2
@@ -548,21 +550,19 @@ class Response(StoredResponse):
             steepest = max(steepest, change / (bright * away))
         return steepest
 
-    def _kernel_memory(self, distance: float, oversample: int) -> float:
+    def _kernel_memory(self, distance: float, bins: float) -> float:
         """Return the approximate bytes of one kernel of a plane with all of its blocks."""
         camera = self.cells.camera
         grid = self.cells.grid
         samples = 1.1 * camera.blur_diameter(distance) / grid.pitch.min() + 8 / grid.pitch.min() * camera.pixel_size
         across, down = (samples / size + 2 for size in self.cells.size)
-        return float(
-            4 * across * down * oversample**2 * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths)
-        )
+        return float(4 * across * down * bins * np.prod(grid.lens_samples.diagonal()) * len(camera.mla_focal_lengths))
 
     def _require_memory(self, groups: int, on_disk: bool, fields: float = 0.0) -> None:
         def memory(oversample: int) -> float:
-            oversample = math.ceil(oversample * self.cells.oversample / self._oversample)
-            kernel_bytes = [self._kernel_memory(distance, oversample) for distance in self._distances]
-            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * oversample**2 * len(kernel_bytes)
+            of_lens = math.prod(self.cells.fineness) * (oversample / self._oversample) ** 2
+            kernel_bytes = [self._kernel_memory(distance, of_lens) for distance in self._distances]
+            bins = 4.0 * len(self._sampled) * len(self._camera.mla_focal_lengths) * of_lens * len(kernel_bytes)
             samples = 4.0 * self._recorder.box.rows * self._recorder.box.columns
             kernels = _LIT * groups * (max(kernel_bytes) if on_disk else sum(kernel_bytes))
             return kernels + 2 * max(kernel_bytes) + 12 * bins + 4 * samples + self._recorder.memory + fields
@@ -576,19 +576,26 @@ class Response(StoredResponse):
     def _direct(self, values: Floats) -> Floats:
         """Return the light of planes that falls on the detector."""
         box = self._recorder.box
-        samples = active_backend().arrays.zeros((box.rows, box.columns), np.float32)
+        by_samples = self._recorder.by_samples
+        shape = (box.rows, box.columns) if by_samples else self.image_shape
+        image = active_backend().arrays.zeros(shape, np.float32)
         for plane, bins, radiance in zip(self.planes, self.bins, self.planes_of(values * self._bright), strict=True):
-            plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), samples)
-        image = self._recorder.record(samples[None])[..., 0]
-        return np.asarray(self._gain * (image + self._far * _around(self._camera, image)))
+            plane.add_forward((bins.share.T @ radiance.ravel()).reshape(plane.shape), image)
+        if by_samples:
+            image = self._recorder.record(image[None])[..., 0]
+        if np.any(self._far):
+            image += self._far * _around(self._camera, image)
+        return np.asarray(self._gain * image)
 
     def adjoint(self, image: Floats, /) -> Floats:
         """Return the transpose of `forward`, applied to an image."""
         light = self._gain * self._detector.adjoint(image)
-        light += _around(self._camera, self._far * light)
-        samples = self._recorder.spread(light[..., None])[0]
+        if np.any(self._far):
+            light += _around(self._camera, self._far * light)
+        if self._recorder.by_samples:
+            light = self._recorder.spread(light[..., None])[0]
         planes = zip(self.planes, self.bins, strict=True)
-        return np.concatenate([bins.share @ plane.adjoint(samples).ravel() for plane, bins in planes]) * self._bright
+        return np.concatenate([bins.share @ plane.adjoint(light).ravel() for plane, bins in planes]) * self._bright
 
 
 def _samples(bins: Iterable[Sequence[Any]]) -> int:
@@ -599,10 +606,8 @@ def _samples(bins: Iterable[Sequence[Any]]) -> int:
 def _around(camera: PlenopticCamera, image: Floats) -> Floats:
     """Return the mean of an image over nine lenses around each, in blocks of a lens; a symmetric matrix."""
     width = max(1, round(camera.micro_image_pitch / camera.pixel_size))
-    rows, columns = (-(-size // width) for size in image.shape)
-    whole = np.zeros((rows * width, columns * width), np.float32)
-    whole[: image.shape[0], : image.shape[1]] = image
-    means = whole.reshape(rows, width, columns, width).sum(3).sum(1) / np.float32(width**2)
+    whole = np.pad(image, [(0, -size % width) for size in image.shape])
+    means = whole.reshape(len(whole) // width, width, -1, width).sum(3).sum(1) / np.float32(width**2)
     around = uniform_filter(means, 9, mode="reflect").repeat(width, 0).repeat(width, 1)
     return around[: image.shape[0], : image.shape[1]]
 
