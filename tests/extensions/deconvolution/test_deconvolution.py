@@ -271,6 +271,15 @@ def test_lenses_may_differ_as_far_as_light_stays_within_pixels():
     refuses(r"mla_jitter = \(0.0, 0.03\)", refocused, FOUR.replace(mla_jitter=(0.0, 0.03)), image)
 
 
+def test_white_reads_1_where_gaps_leave_little_light():
+    """Its border bins, in gaps, send 1.5 % of what bins on open lenses send."""
+    camera = FAST.replace(mla_fill=0.5, mla_medium=1.5, detector_distance=0.96, mla_focal_length=0.96)
+    even = mp.Capture(np.ones(camera.shape, np.float32), camera, 550.0, "wave")
+    own = mp.Capture(wave_white(even, 1)[..., 0], camera, 550.0, "wave")
+    image = mp.reconstruct(own, 120.0, method="deconvolved", oversample=4).image
+    np.testing.assert_allclose(image, 1, atol=0.001)
+
+
 @pytest.mark.parametrize(
     ("options", "distance", "oversample"),
     [
