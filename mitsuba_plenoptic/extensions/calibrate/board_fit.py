@@ -32,10 +32,14 @@ from .observations import (
     require_on_detector,
 )
 from .start import board_images, start_values, upright_poses
+from .view_start import board_views, known_beforehand, view_start
 
 # Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
 # less.
 _CORRELATED = 16
+
+# Error of corners in views that a first fit takes, in pitches.
+_VIEW_NOISE = 0.05
 
 
 @suggest_keywords
@@ -69,6 +73,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)
     middle = (size - 1) / 2
+    in_views = "i" in corners.columns
+    refuse_if(
+        in_views and centres is None,
+        f"{corners.name}: corners in views leave the camera open; give centres of micro-images, of a white picture",
+    )
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
     along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
     # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can
@@ -81,10 +90,17 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     )
     observed, frames = observations(corners, board, index)
     problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
-    numbers, poses, good = start_values(problem, board, frames, grid, middle)
+    if in_views:
+        problem = replace(problem, grid=grid)
+        numbers, poses, good = view_start(problem, start, frames)
+        noise = _VIEW_NOISE
+        problem = replace(problem, known=known_beforehand(start, noise))
+    else:
+        numbers, poses, good = start_values(problem, board, frames, grid, middle)
+        noise = max(deviation(np.hypot(*problem.residuals(numbers, poses)[good].T)), 1e-3)
     if centres:
-        inliers, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
-        problem = _with_centres(problem, centres, inliers, index, weight)
+        inliers, scatter = _used_centres(centres, index)
+        problem = _with_centres(problem, centres, inliers, index, noise / scatter)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
     weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
@@ -94,6 +110,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         steps += fit.steps
         before = weights
         weights = _weights(problem, fit, frames)
+        if in_views:
+            noise = max(deviation(np.hypot(*problem.residuals(fit.numbers, fit.poses).T)), 1e-3)
+            problem = replace(problem, centre_weight=noise / scatter, known=known_beforehand(start, noise))
         fit = adjust(problem, fit.numbers, fit.poses, weights=weights)
         if ((before > 0) == (weights > 0)).all():
             break
@@ -115,7 +134,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     centre_residuals = np.zeros((0, 2))
     centre_outliers = np.zeros(0, dtype=int)
     if centres:
-        all_centres = _with_centres(problem, centres, np.ones(len(inliers), dtype=bool), index, weight)
+        all_centres = _with_centres(problem, centres, np.ones(len(inliers), dtype=bool), index, 1.0)
         centre_residuals = all_centres.centre_residuals(final.numbers)
         centre_outliers = np.flatnonzero(~inliers)
     blur = None
@@ -166,11 +185,20 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     grid = np.stack([numbers[OFFSET], along, across]) * scale
     grid[0] += principal
     if index is None:
+        refuse_if(
+            "i" in corners.columns, "camera: corners in views need one that was calibrated, which counts lenses alike"
+        )
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
     observed, frames = observations(corners, board, index)
     problem = Problem(observed, camera.pixel_size, lattice.row_ratio)
-    _, maps, good = board_images(problem, board, frames, grid, principal)
-    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length), good.astype(float))
+    if "i" in corners.columns:
+        problem = replace(problem, grid=grid)
+        seen = board_views(problem, frames, principal)
+        good, first = seen.good, seen.poses((camera.mla_distance + camera.detector_distance) / camera.pixel_size)
+    else:
+        _, maps, good = board_images(problem, board, frames, grid, principal)
+        first = upright_poses(maps, camera.focal_length)
+    poses = adjust_poses(problem, numbers, first, good.astype(float))
     return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
 
 
@@ -195,18 +223,17 @@ def _through_pupil(problem: Problem, residuals: Array, good: Array) -> Problem:
     return replace(problem, centres=observed, centre_weight=float(weight))
 
 
-def _used_centres(centres: Table, index: LensIndex, residuals: Array) -> tuple[Array, float]:
-    """Return a mask of the centres that a fit uses, spread evenly over the lattice, and their weight.
+def _used_centres(centres: Table, index: LensIndex) -> tuple[Array, float]:
+    """Return a mask of the centres that a fit uses, and the deviation with which they count, as errors are correlated.
 
-    The weight is the deviation of the corners' residuals over the deviation of centres, whose errors are correlated.
+    They are spread evenly over the lattice.
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
     _, distance, inliers = robust_lines(both_axes(matrix), centres.pixel)
     if DOUBTFUL_COLUMN in centres.columns:
         inliers &= centres[DOUBTFUL_COLUMN] == 0
-    scatter = [max(deviation(distances), 1e-3) for distances in (np.hypot(*residuals.T), distance[inliers])]
-    return inliers, scatter[0] / scatter[1] / _CORRELATED
+    return inliers, max(deviation(distance[inliers]), 1e-3) * _CORRELATED
 
 
 def _require_matching_pupil(

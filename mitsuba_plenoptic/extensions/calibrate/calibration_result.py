@@ -13,11 +13,14 @@ from ...camera import PlenopticCamera
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
-from .board_model import NAMES, centres_of
+from .board_model import NAMES, centres_of, predict_centres
 from .observations import Board, LensIndex, Table, placed
 
 OPEN = 0.1
 """Part of the focal length from which on its deviation leaves it open."""
+
+SCALE_ERROR = 1e-5
+"""Error of the distances of centres in a white picture, in parts of them, that their scatter does not tell."""
 
 REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
 """What determines an open focal length."""
@@ -327,6 +330,14 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
         covariance = covariance + student * (frames - 1) / frames * without.T @ without
     else:
         covariance = covariance * disagreement
+    if problem.grid is not None and problem.centres is not None:
+        # Of views the white picture's scale along x and y is the scale of the distances, which its centres' scatter
+        # does not tell.
+        places, by_numbers = predict_centres(fit.numbers, problem.centres.lens, **problem.geometry)
+        errors = SCALE_ERROR * (places - places.mean(0))
+        moved_by = np.einsum("na,nak->ka", problem.centre_weight**2 * errors, by_numbers) / scale[:, None]
+        moved_by = inverse @ inverse.T @ moved_by
+        covariance = covariance + moved_by @ moved_by.T
     return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames)
 
 

@@ -26,6 +26,7 @@ from .adjustment import both_axes, robust_lines
 from .board_model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
+VIEW_COLUMNS = ("i", "j", *CORNER_COLUMNS[2:])
 BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
 DOUBTFUL_COLUMN = "doubtful"
@@ -92,6 +93,11 @@ class LensIndex:
         """Return positions (n, 2) of lenses from lens (0, 0): in pitches along the rows, and in rows across them."""
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
+
+    def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Return positions as `unit` does, of places between lenses: k with the row's offset, and l."""
+        k0, l0 = self.first
+        return np.stack([i - k0 - self.odd_rows * (l0 % 2), self.row_sign * (j - l0)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -217,7 +223,11 @@ def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observ
     """Return the observations for a fit, and the frame index of each pose."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
-    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
+    if "i" in corners.columns:
+        lens = index.between(corners["i"], corners["j"])
+    else:
+        lens = index.unit(corners["k"], corners["l"])
+    return Observations(lens, corners.pixel, positions, pose), frames
 
 
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:
