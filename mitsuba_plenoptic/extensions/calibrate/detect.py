@@ -66,7 +66,7 @@ def detect_corners(
         camera.require_array("detect_corners")
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
-    picture = _picture(image, white, centres, name)
+    picture = divided_picture(image, white, centres, name)
     corner, lens, position = _refined(picture, *find_board(picture, board), camera)
     refuse_if(
         not len(corner),
@@ -104,7 +104,8 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     return Table("camera", {"k": k, "l": l, "u": u, "v": v}).keep(inside)
 
 
-def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
+def divided_picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
+    """Return a raw picture divided by the white one, with its micro-images."""
     values, light = (_grey(label, picture) for label, picture in ((name, image), ("white", white)))
     refuse_if(
         values.shape != light.shape,
