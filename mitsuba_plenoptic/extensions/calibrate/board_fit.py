@@ -131,6 +131,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
+        if in_views and start.mla_focal_lengths == (start.detector_distance,):
+            # Corners do not tell it: lenses are taken as focused at infinity.
+            camera = camera.replace(mla_focal_length=camera.detector_distance)
     centre_residuals = np.zeros((0, 2))
     centre_outliers = np.zeros(0, dtype=int)
     if centres:
@@ -148,7 +151,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     return Calibration(
         camera,
         index,
-        Evaluation(problem.residuals(final.numbers, final.poses), frames, observed.pose, final.poses),
+        _evaluation(problem, final.numbers, final.poses, frames),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
         dict(zip(NAMES, deviations.tolist(), strict=True)),
         covariance / np.outer(deviations, deviations),
@@ -199,7 +202,13 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
         _, maps, good = board_images(problem, board, frames, grid, principal)
         first = upright_poses(maps, camera.focal_length)
     poses = adjust_poses(problem, numbers, first, good.astype(float))
-    return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
+    return _evaluation(problem, numbers, poses, frames)
+
+
+def _evaluation(problem: Problem, numbers: Array, poses: Array, frames: Array) -> Evaluation:
+    """Return the residuals of a problem's corners, with their unit."""
+    unit = "px" if problem.grid is None else "px of views"
+    return Evaluation(problem.residuals(numbers, poses), frames, problem.corners.pose, poses, unit)
 
 
 def _with_centres(problem: Problem, centres: Table, inliers: Array, index: LensIndex, weight: float) -> Problem:

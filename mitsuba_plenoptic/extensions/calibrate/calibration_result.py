@@ -40,12 +40,15 @@ class Evaluation:
         Index, among the poses, of each row's pose.
     poses : (poses, 6) array
         Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
+    unit : str
+        Unit of the residuals: pixels of the picture, or pixels of views, which are lenses.
     """
 
     residuals: Array
     frames: Array
     pose: Array
     poses: Array
+    unit: str = "px"
 
     @property
     def error(self) -> float:
@@ -175,7 +178,7 @@ class ResidualMap:
         Property that a group's observations have in common, as for `residual_map`.
     key : (groups, columns) array
         Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
-        micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
+        micro-image in pixels; ``view``: its place beside the lenses' centres, in pixels; ``field``: middle of a square of the detector, in pixels;
         ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
@@ -193,7 +196,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Return the residuals of a calibration's corners in groups by lens, field, depth or pose.
+    """Return the residuals of a calibration's corners in groups by lens, view, field, depth or pose.
 
     `parts` are squares of the field along the detector's rows, or ranges of depth with as many observations each.
     """
@@ -203,6 +206,9 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     if by == "lens":
         lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
         key = np.concatenate([lenses, centres_of(camera, calibration.index.unit(*lenses.T))], axis=1)
+    elif by == "view":
+        centre = centres_of(camera, calibration.index.between(corners["i"], corners["j"]))
+        key, group = np.unique(np.round(corners.pixel - centre), axis=0, return_inverse=True)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
     elif by == "depth":
@@ -249,7 +255,7 @@ def summary(calibration: Calibration, most: int) -> list[str]:
             f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
             f"{REMEDY}"
         )
-    lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} px")
+    lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} {calibration.evaluation.unit}")
     if calibration.by_frames:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
@@ -275,15 +281,16 @@ def outlier_lines(evaluation: Evaluation, most: int) -> list[str]:
     frames = ", ".join(f"{n} of {frame}" for n, frame in zip(counts, evaluation.frames[poses], strict=True))
     return [
         f"{len(rows)} outliers, in lines {listed((rows + 2).tolist(), most)}; by frame: {frames}",
-        f"without outliers {evaluation.error_without_outliers:.4f} px over {len(evaluation.residuals) - len(rows)} "
-        "observations",
+        f"without outliers {evaluation.error_without_outliers:.4f} {evaluation.unit} over "
+        f"{len(evaluation.residuals) - len(rows)} observations",
     ]
 
 
 def error_line(evaluation: Evaluation) -> str:
     """Return the line on the error of all rows."""
     count = len(evaluation.residuals)
-    return f"reprojection error {evaluation.error:.4f} px over {count} observations of {len(evaluation.frames)} poses"
+    error = f"{evaluation.error:.4f} {evaluation.unit}"
+    return f"reprojection error {error} over {count} observations of {len(evaluation.frames)} poses"
 
 
 def listed(items: Sequence[object], most: int) -> str:

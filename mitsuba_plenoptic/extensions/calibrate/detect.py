@@ -18,7 +18,7 @@ from ...views import lens_types, pixels_around
 from .blur import CutBlur
 from .board_model import centres_of
 from .boards import Picture, find_board, find_saddles
-from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table, write_table
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, LensIndex, Table, write_table
 
 
 def detect_corners(
@@ -106,7 +106,7 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
 
 def divided_picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
     """Return a raw picture divided by the white one, with its micro-images."""
-    values, light = (_grey(label, picture) for label, picture in ((name, image), ("white", white)))
+    values, light = (even_colours(_grey(label, picture)) for label, picture in ((name, image), ("white", white)))
     refuse_if(
         values.shape != light.shape,
         f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
@@ -133,6 +133,15 @@ def divided_picture(image: Array, white: Array, centres: Table, name: str) -> Pi
     radius = min(nearest, float(np.sqrt(lit / np.pi)))
     even = evenly_lit(light, middle[inside], radius)
     return Picture(name, divided, weight, middle[inside], radius, even if even > 0.6 * radius else radius)
+
+
+def even_colours(image: Array) -> Array:
+    """Return a mosaic of colour filters in which these are equally bright; other pictures remain as they are."""
+    means = np.array([[image[j::2, i::2].mean() for i in (0, 1)] for j in (0, 1)])
+    if not means.min() > 0 or np.ptp(means) < 0.02 * means.mean():
+        return image
+    gain = means.mean() / means
+    return image * np.tile(gain, (-(-image.shape[0] // 2), -(-image.shape[1] // 2)))[: image.shape[0], : image.shape[1]]
 
 
 def evenly_lit(light: Array, centre: Array, radius: float) -> float:
@@ -239,4 +248,5 @@ def _improved(picture: Picture, corner: Array, lens: Array, located: Array, posi
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    write_table(path, Table("corners", {name: corners[name] for name in CORNER_COLUMNS}))
+    names = VIEW_COLUMNS if "i" in corners.columns else CORNER_COLUMNS
+    write_table(path, Table("corners", {name: corners[name] for name in names}))

@@ -185,7 +185,8 @@ def read_corners(path: str | Path, board: Board, size: Shape) -> Table:
     size : (int, int)
         Columns and rows of the pictures.
     """
-    table = read_table(path, CORNER_COLUMNS, (BLUR_COLUMN,))
+    in_views = read_text(path, LARGEST_FILE).partition("\n")[0].startswith("i,")
+    table = read_table(path, VIEW_COLUMNS if in_views else CORNER_COLUMNS, (BLUR_COLUMN,))
     if BLUR_COLUMN in table.columns and not np.ptp(table[BLUR_COLUMN]) > 0:
         # The programs that write the column fill it with one value where they did not look for blur.
         del table.columns[BLUR_COLUMN]
