@@ -18,6 +18,7 @@ from .calibration_result import (
     Calibration,
     Evaluation,
     fit_covariance,
+    held_out_errors,
     moved_solutions,
     prediction_deviation,
 )
@@ -162,6 +163,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         by_frames,
         centre_outliers,
         beyond,
+        held_out_errors(problem, final, weights) if len(final.poses) > 3 else np.zeros(0),
+        _assumed(problem, deviations, noise) if in_views else {},
     )
 
 
@@ -203,6 +206,16 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
         first = upright_poses(maps, camera.focal_length)
     poses = adjust_poses(problem, numbers, first, good.astype(float))
     return _evaluation(problem, numbers, poses, frames)
+
+
+def _assumed(problem: Problem, deviations: Array, noise: float) -> dict[str, float]:
+    """Return the deviations that were assumed for numbers of which the data tell less than these."""
+    weights = problem.known[1]
+    return {
+        name: noise / weight
+        for name, weight, deviation in zip(NAMES, weights, deviations, strict=True)
+        if weight and deviation > 0.7 * noise / weight
+    }
 
 
 def _evaluation(problem: Problem, numbers: Array, poses: Array, frames: Array) -> Evaluation:

@@ -215,6 +215,9 @@ def boards(
 
         with progress_bar("Finding corners") as progress:
             start, table, middles = corners_of_pictures(pictures, white, size, start, middles, linear, progress)
+        for frame, path in enumerate(pictures):
+            numbers = table["cluster"][table["frame"] == frame]
+            typer.echo(f"frame {frame}, {path.name}: {len(set(numbers.tolist()))} corners, seen {len(numbers)} times")
     else:
         refuse_if(len(sources) > 1, f"{sources[1]}: give one table of corners, or pictures")
         if start is None:

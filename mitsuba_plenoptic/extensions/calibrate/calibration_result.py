@@ -13,7 +13,7 @@ from ...camera import PlenopticCamera
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
-from .board_model import NAMES, centres_of, predict_centres
+from .board_model import NAMES, UNITS, centres_of, predict_centres
 from .observations import Board, LensIndex, Table, placed
 
 OPEN = 0.1
@@ -108,6 +108,11 @@ class Calibration:
     prediction_deviation : float
         RMS displacement in pixels, due to errors of the parameters, of corners of boards turned by 30 degrees from the
         observed ones, with fitted poses.
+    held_out : (poses,) array
+        Error of each pose's corners, in the unit of the residuals, for a camera fitted to the other poses.
+    assumed : dict
+        Of corners in views: numbers that the data leave open, with the deviations from 0, or from the middle of the
+        picture, that are assumed for them.
     """
 
     camera: PlenopticCamera
@@ -123,6 +128,8 @@ class Calibration:
     by_frames: bool = False
     centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
     prediction_deviation: float = 0.0
+    held_out: Array = field(default_factory=lambda: np.zeros(0))
+    assumed: dict[str, float] = field(default_factory=dict)
 
     @property
     def centre_error(self) -> float | None:
@@ -255,6 +262,18 @@ def summary(calibration: Calibration, most: int) -> list[str]:
             f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
             f"{REMEDY}"
         )
+    if calibration.assumed:
+        terms = ", ".join(f"{name} +- {deviation:.2g} {UNITS[name]}".rstrip() for name, deviation in calibration.assumed.items())
+        lines.append(f"held, as the data leave them open: {terms}")
+    if calibration.evaluation.unit != "px":
+        lines += [
+            "lengths go with the width of pixels as stated, {:.4g} mm: where it is 1 % more, mla_distance and pitch are "
+            "1 % more, detector_distance 2 %".format(calibration.camera.pixel_size),
+            f"mla_focal_length {calibration.camera.mla_focal_lengths[0]:.4g} mm is assumed: corners do not tell it",
+        ]
+    if len(calibration.held_out):
+        held_out = np.sqrt((calibration.held_out**2).mean())
+        lines.append(f"poses left out of the fit one by one: {held_out:.4f} {calibration.evaluation.unit}")
     lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} {calibration.evaluation.unit}")
     if calibration.by_frames:
         lines.append(
@@ -346,6 +365,21 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
         moved_by = inverse @ inverse.T @ moved_by
         covariance = covariance + moved_by @ moved_by.T
     return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames)
+
+
+def held_out_errors(problem: Problem, fit: Adjusted, weights: Array) -> Array:
+    """Return the RMS error of each pose's corners for a camera fitted to the other poses, to first order.
+
+    Shapes: `weights` (n,); the result (poses,).
+    """
+    _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(NAMES)))
+    errors = []
+    for pose in range(len(fit.poses)):
+        others = np.concatenate(blocks[:pose] + blocks[pose + 1 :])
+        scale = np.sqrt((others[:, :-1] ** 2).sum(0))
+        moved = np.linalg.lstsq(others[:, :-1] / scale, others[:, -1])[0] / scale
+        errors.append(((blocks[pose][:, :-1] @ moved - blocks[pose][:, -1]) ** 2).sum())
+    return np.sqrt(np.array(errors) / np.bincount(problem.corners.pose, weights))
 
 
 def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance: Array) -> list[Adjusted]:

@@ -18,6 +18,9 @@ from .observations import DOUBTFUL_COLUMN, Board, Table, concatenate
 from .view_corners import detect_view_corners
 from .white_centres import find_centres
 
+_BESIDE = 0.4
+"""Pixels between the micro-images of a picture and of its white one from which on they are of two cameras."""
+
 _WHOLE = 0.97
 """Size of a micro-image, in parts of what those that nothing clips have, below which its centre does not count."""
 
@@ -34,7 +37,7 @@ def corners_of_pictures(
     """Return the camera as it is known, corners in all pictures, and centres of micro-images."""
     refuse_if(white is None, "--white: pictures need a white picture of the same camera, or a folder of them")
     assert white is not None
-    first = _recording(paths[0], linear)
+    first = read_recording(paths[0], linear)
     if camera is None:
         refuse_if(
             not isinstance(first, Capture), f"--camera: {paths[0]} does not state its camera; give the data sheet's"
@@ -44,13 +47,13 @@ def corners_of_pictures(
     if white.is_dir():
         refuse_if(steps is None, f"{white}: {paths[0]} states no zoom and focus, by which to choose a white picture")
         white = nearest_white(white, first)
-    light = even_colours(_image(_recording(white, linear)))
+    light = even_colours(_image(read_recording(white, linear)))
     if centres is None:
         with naming(white):
             centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
     tables = []
     for frame, path in enumerate(paths):
-        recording = _recording(path, linear)
+        recording = read_recording(path, linear)
         others = motors(recording)
         refuse_if(
             others != steps,
@@ -58,6 +61,7 @@ def corners_of_pictures(
             "one zoom and one focus",
         )
         image = _image(recording)
+        _require_same_lenses(image, light, centres, path)
         if set(focus_types(camera)) == {"unfocused"}:
             tables.append(detect_view_corners(image, light, centres, board, camera, frame=frame, name=str(path)))
         else:
@@ -84,9 +88,33 @@ def unclipped(centres: Table, white: Array) -> Table:
     return Table(centres.name, centres.columns | {DOUBTFUL_COLUMN: centres[DOUBTFUL_COLUMN] | clipped})
 
 
-def _recording(path: Path, linear: bool) -> Array | Capture:
-    """Return a capture, or the values of a picture."""
-    return read_recording(path, linear)
+def _require_same_lenses(image: Array, white: Array, centres: Table, path: Path) -> None:
+    """Refuse a picture whose micro-images, on average over parts of it, lie beside those of the white picture."""
+    refuse_if(
+        image.shape != white.shape,
+        f"{path}: it has {image.shape[1]} x {image.shape[0]} pixels, and the white picture {white.shape[1]} x "
+        f"{white.shape[0]}",
+    )
+    pixel = centres.keep(centres[DOUBTFUL_COLUMN] == 0).pixel if DOUBTFUL_COLUMN in centres.columns else centres.pixel
+    quarter = (pixel > np.median(pixel, axis=0)) @ [1, 2]
+    distance, _ = cKDTree(pixel).query(pixel, k=2)
+    half = int(np.median(distance[:, 1]) / 2)
+    shifts = []
+    for number in range(4):
+        some = pixel[quarter == number][:: max(1, int((quarter == number).sum() / 2000))]
+        middles = []
+        for picture in (image, white):
+            x, y, patch = pixels_around(picture, some + 0.5, half)
+            light = patch - np.quantile(patch, 0.02, axis=(1, 2), keepdims=True)
+            away = [(light.sum(1) * (x - some[:, :1])).sum(), (light.sum(2) * (y - some[:, 1:])).sum()]
+            middles.append(np.array(away) / max(float(light.sum()), 1e-9))
+        shifts.append(middles[0] - middles[1])
+    shift = float(np.hypot(*np.median(shifts, axis=0)))
+    refuse_if(
+        shift > _BESIDE,
+        f"{path}: its micro-images lie {shift:.2g} pixels beside those of the white picture, which is of another "
+        "camera, zoom or focus",
+    )
 
 
 def motors(recording: Array | Capture) -> tuple[float, float] | None:

@@ -23,7 +23,7 @@ from .adjustment import both_axes, deviation, robust_lines
 from .boards import Picture, located
 from .calibration_result import group_means
 from .detect import divided_picture
-from .observations import VIEW_COLUMNS, Board, LensIndex, Table, find_lens_index
+from .observations import DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, LensIndex, Table, find_lens_index
 
 # Light of a pixel, in parts of that in the middle of its micro-image, from which on the main lens's rim cuts off little.
 _OPEN = 0.85
@@ -116,7 +116,9 @@ def detect_view_corners(
         Columns i and j of the position among lenses at which a view shows the corner, u and v of the view's pixel
         there, cluster and frame.
     """
-    picture = divided_picture(image, white, centres, name)
+    # Micro-images that a rim clips would make the others' part of the pupil smaller.
+    sure = centres.keep(centres[DOUBTFUL_COLUMN] == 0) if DOUBTFUL_COLUMN in centres.columns else centres
+    picture = divided_picture(image, white, sure, name)
     lenses = LensArray.over(picture, centres, camera.lattice.stagger == 2)
     corner, position = find_grid(lenses, board)
     of, arm, found = _in_all_views(lenses, corner, position)
@@ -144,7 +146,7 @@ def find_grid(lenses: LensArray, board: Board) -> tuple[Array, Array]:
     for width in _SHARPNESSES:
         place, angle = _saddles(value, weight, width, board.columns * board.rows)
         grown = _grown(place * [1, lenses.ratio], angle)
-        if len(grown) > len(best):
+        if _fullness(grown) > _fullness(best):
             best, places = grown, place
     corner = np.array(list(best)).reshape(-1, 2)
     position = places[list(best.values())] + lenses.first
@@ -162,9 +164,10 @@ def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[
     peak = (strength == maximum_filter(strength, 2 * int(np.ceil(width)) + 1)) & (strength > 0)
     peak[[0, -1]] = peak[:, [0, -1]] = False
     y, x = np.nonzero(peak)
-    order = np.argsort(-strength[y, x])
+    strong = strength[y, x]
     # Along edges and in noise there are weaker ones.
-    order = order[strength[y, x][order] > 0.15 * np.median(strength[y, x][order[: expected // 2]])]
+    least = 0.15 * np.median(np.sort(strong)[-expected // 2 :]) if len(strong) else 0.0
+    order = np.argsort(-strong)[: np.count_nonzero(strong > least)]
     y, x = y[order], x[order]
     # From the middle of the pixel to where the slope vanishes.
     bend = np.array([[xx, xy], [xy, yy]])[:, :, y, x].transpose(2, 0, 1)
@@ -227,9 +230,14 @@ def _grown(place: Array, angle: Array) -> dict[tuple[int, int], int]:
                 steps[there] = (new[0], new[1])
                 queue.append(there)
         tried[list(used)] = True
-        if len(grid) > len(best):
+        if _fullness(grid) > _fullness(best):
             best = grid
     return best
+
+
+def _fullness(grid: dict[tuple[int, int], int]) -> float:
+    """Return how many corners a grid has, times the part of its columns and rows that is filled."""
+    return len(grid) ** 2 / float(np.prod(np.ptp(list(grid), axis=0) + 1)) if grid else 0.0
 
 
 def _counted(corner: Array, position: Array, lenses: LensArray, board: Board) -> tuple[Array, Array]:
