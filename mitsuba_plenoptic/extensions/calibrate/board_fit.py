@@ -18,7 +18,6 @@ from .calibration_result import (
     Calibration,
     Evaluation,
     fit_covariance,
-    held_out_errors,
     moved_solutions,
     prediction_deviation,
 )
@@ -33,7 +32,7 @@ from .observations import (
     require_on_detector,
 )
 from .start import board_images, start_values, upright_poses
-from .view_start import board_views, known_beforehand, view_start
+from .view_start import board_views, known_beforehand, seen_poses, view_start
 
 # Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
 # less.
@@ -74,7 +73,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)
     middle = (size - 1) / 2
-    in_views = "i" in corners.columns
+    in_views = corners.in_views
     refuse_if(
         in_views and centres is None,
         f"{corners.name}: corners in views leave the camera open; give centres of micro-images, of a white picture",
@@ -89,7 +88,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
         "hexagonal lattice by 90 degrees if its columns do",
     )
-    observed, frames = observations(corners, board, index)
+    observed, frames = observations(corners, board, index, grid)
     problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
     if in_views:
         problem = replace(problem, grid=grid)
@@ -122,7 +121,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     weights = _weights(problem, fit, frames)
     fit.numbers[PRINCIPAL] = np.round(2 * fit.numbers[PRINCIPAL]) / 2
     final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
-    covariance, disagreement, by_frames = fit_covariance(problem, final, weights)
+    covariance, disagreement, by_frames, held_out = fit_covariance(problem, final, weights)
     deviations = np.sqrt(np.diag(covariance))
     beyond = prediction_deviation(problem, final, covariance)
     refuse_if(
@@ -163,8 +162,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         by_frames,
         centre_outliers,
         beyond,
-        held_out_errors(problem, final, weights) if len(final.poses) > 3 else np.zeros(0),
-        _assumed(problem, deviations, noise) if in_views else {},
+        held_out,
+        {NAMES[at]: float(deviations[at]) for at in np.flatnonzero(problem.known[1] * deviations > 0.7 * noise)},
     )
 
 
@@ -190,32 +189,19 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     across = lattice.from_frame(0.0, lattice.row_distance)
     grid = np.stack([numbers[OFFSET], along, across]) * scale
     grid[0] += principal
-    if index is None:
-        refuse_if(
-            "i" in corners.columns, "camera: corners in views need one that was calibrated, which counts lenses alike"
-        )
+    if index is None and not corners.in_views:
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
-    observed, frames = observations(corners, board, index)
+    observed, frames = observations(corners, board, index, grid)
     problem = Problem(observed, camera.pixel_size, lattice.row_ratio)
-    if "i" in corners.columns:
+    if corners.in_views:
         problem = replace(problem, grid=grid)
-        seen = board_views(problem, frames, principal)
-        good, first = seen.good, seen.poses((camera.mla_distance + camera.detector_distance) / camera.pixel_size)
+        views, _, good = board_views(problem, frames, principal)
+        first = seen_poses(views, (camera.mla_distance + camera.detector_distance) / camera.pixel_size)
     else:
         _, maps, good = board_images(problem, board, frames, grid, principal)
         first = upright_poses(maps, camera.focal_length)
     poses = adjust_poses(problem, numbers, first, good.astype(float))
     return _evaluation(problem, numbers, poses, frames)
-
-
-def _assumed(problem: Problem, deviations: Array, noise: float) -> dict[str, float]:
-    """Return the deviations that were assumed for numbers of which the data tell less than these."""
-    weights = problem.known[1]
-    return {
-        name: noise / weight
-        for name, weight, deviation in zip(NAMES, weights, deviations, strict=True)
-        if weight and deviation > 0.7 * noise / weight
-    }
 
 
 def _evaluation(problem: Problem, numbers: Array, poses: Array, frames: Array) -> Evaluation:

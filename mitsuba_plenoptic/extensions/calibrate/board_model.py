@@ -170,8 +170,8 @@ def predict(
 ) -> tuple[Array, Array, Array]:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
-    With a grid of lenses in pixels, (3, 2), corners are seen in views instead: a view is what pixels at one place beside
-    the grid's lenses see, and the position of the lens is predicted, in pitches along x and y of the lattice.
+    With a grid of lenses in pixels, (3, 2), corners are seen in views instead: a view is what pixels at one place
+    beside the grid's lenses see, and the position of the lens is predicted, in pitches along x and y of the lattice.
 
     Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
@@ -202,7 +202,6 @@ def predict(
     # What is found: the ray's slope, or in views the lens, by how much it lies from the observed one.
     found = np.zeros((n, 2))
     t = found
-    p_by_lens = t_by_lens = None
     if grid is not None:
         axes, slopes = _axes(numbers)
         p_by_lens = pixel_size * (grid[1:] / [[1.0], [row_ratio]]).T
@@ -221,9 +220,8 @@ def predict(
         by_h = -np.einsum("nab,nb->na", by_c, t)
         by_found = by_t
         if grid is not None:
-            h_by_lens = slopes @ axes
-            t_by_lens = (axes - p_by_lens - t[:, :, None] * h_by_lens) / (z + h)[:, None, None]
-            by_found = by_c @ axes + by_h[:, :, None] * h_by_lens + by_t @ t_by_lens
+            t_by_lens = (axes - p_by_lens - t[:, :, None] * (slopes @ axes)) / (z + h)[:, None, None]
+            by_found = by_c @ axes + by_h[:, :, None] * (slopes @ axes) + by_t @ t_by_lens
         inverse = _inverse(by_found)
         found = found - np.einsum("nab,nb->na", inverse, miss)
         if grid is None:

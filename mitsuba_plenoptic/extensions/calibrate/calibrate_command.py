@@ -51,18 +51,8 @@ def _require_table(name: str, path: Path) -> None:
     refuse_if(not content.startswith("text"), f"{path}: it is {content}; corners are a table (.csv)")
 
 
-def _require_source(name: str, path: Path) -> None:
-    if path.suffix.lower() in choices.LYTRO_SUFFIXES:
-        options.require_file(name, path)
-    elif path.suffix.lower() in (".exr", *choices.RAW_SUFFIXES):
-        _require_picture(name, path)
-    else:
-        _require_table(name, path)
-
-
 Picture = Annotated[Path, options.checked(_require_picture)]
 Table = Annotated[Path, options.checked(_require_table)]
-Source = Annotated[Path, options.checked(_require_source)]
 
 
 def centres(whites: list[Picture], *, output: Annotated[Path, options.ends_in(".csv")], linear: bool = False) -> None:
@@ -164,7 +154,7 @@ def corners(
 
 
 def boards(
-    sources: list[Source],
+    sources: list[options.Existing],
     *,
     output: Annotated[Path, options.ends_in(".json")],
     board: str,
@@ -208,18 +198,17 @@ def boards(
     size = calibration.Board.parse(board, square)
     middles = None if centres is None else calibration.read_centres(centres)
     start = None if camera is None else inputs.load_camera(camera, {})[0]
-    pictures = [path for path in sources if path.suffix.lower() != ".csv"]
-    if pictures:
-        refuse_if(len(pictures) < len(sources), f"{sources[0]}: give one table of corners, or pictures")
+    tables = [path for path in sources if path.suffix.lower() == ".csv"]
+    refuse_if(tables and len(sources) > 1, f"{sources[0]}: give one table of corners, or pictures")
+    if not tables:
         from .picture_corners import corners_of_pictures
 
         with progress_bar("Finding corners") as progress:
-            start, table, middles = corners_of_pictures(pictures, white, size, start, middles, linear, progress)
-        for frame, path in enumerate(pictures):
-            numbers = table["cluster"][table["frame"] == frame]
-            typer.echo(f"frame {frame}, {path.name}: {len(set(numbers.tolist()))} corners, seen {len(numbers)} times")
+            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, progress)
+        for frame, path in enumerate(sources):
+            rows = table.keep(table["frame"] == frame)
+            typer.echo(f"frame {frame}, {path.name}: {len(set(rows['cluster']))} corners, seen {len(rows['u'])} times")
     else:
-        refuse_if(len(sources) > 1, f"{sources[1]}: give one table of corners, or pictures")
         if start is None:
             raise InputError("--camera: a table of corners needs it")
         inputs.refuse_options("a table of corners", white=white, linear=linear)

@@ -111,8 +111,8 @@ class Calibration:
     held_out : (poses,) array
         Error of each pose's corners, in the unit of the residuals, for a camera fitted to the other poses.
     assumed : dict
-        Of corners in views: numbers that the data leave open, with the deviations from 0, or from the middle of the
-        picture, that are assumed for them.
+        Of corners in views: numbers that the data leave open, with deviations, mostly those assumed for them from 0 or
+        from the middle of the picture.
     """
 
     camera: PlenopticCamera
@@ -128,7 +128,7 @@ class Calibration:
     by_frames: bool = False
     centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
     prediction_deviation: float = 0.0
-    held_out: Array = field(default_factory=lambda: np.zeros(0))
+    held_out: Array = field(default_factory=lambda: np.zeros(1))
     assumed: dict[str, float] = field(default_factory=dict)
 
     @property
@@ -185,7 +185,8 @@ class ResidualMap:
         Property that a group's observations have in common, as for `residual_map`.
     key : (groups, columns) array
         Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
-        micro-image in pixels; ``view``: its place beside the lenses' centres, in pixels; ``field``: middle of a square of the detector, in pixels;
+        micro-image in pixels; ``view``: least and greatest distance of its pixels
+        from the lenses' centres; ``field``: middle of a square of the detector, in pixels;
         ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
@@ -214,8 +215,9 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
         lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
         key = np.concatenate([lenses, centres_of(camera, calibration.index.unit(*lenses.T))], axis=1)
     elif by == "view":
-        centre = centres_of(camera, calibration.index.between(corners["i"], corners["j"]))
-        key, group = np.unique(np.round(corners.pixel - centre), axis=0, return_inverse=True)
+        beside = corners.pixel - np.stack([corners["x"], corners["y"]], axis=-1)
+        key, group = np.unique(np.rint(np.hypot(*beside.T)), return_inverse=True)
+        key = np.stack([key, key], axis=-1)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
     elif by == "depth":
@@ -263,18 +265,21 @@ def summary(calibration: Calibration, most: int) -> list[str]:
             f"{REMEDY}"
         )
     if calibration.assumed:
-        terms = ", ".join(f"{name} +- {deviation:.2g} {UNITS[name]}".rstrip() for name, deviation in calibration.assumed.items())
+        terms = ", ".join(
+            f"{name} +- {deviation:.2g} {UNITS[name]}".rstrip() for name, deviation in calibration.assumed.items()
+        )
         lines.append(f"held, as the data leave them open: {terms}")
+    camera = calibration.camera
     if calibration.evaluation.unit != "px":
         lines += [
-            "lengths go with the width of pixels as stated, {:.4g} mm: where it is 1 % more, mla_distance and pitch are "
-            "1 % more, detector_distance 2 %".format(calibration.camera.pixel_size),
-            f"mla_focal_length {calibration.camera.mla_focal_lengths[0]:.4g} mm is assumed: corners do not tell it",
+            f"lengths go with the stated width of pixels, {camera.pixel_size:.4g} mm: where it is 1 % more, "
+            "mla_distance and pitch are 1 % more, detector_distance 2 %",
+            f"mla_focal_length {camera.mla_focal_lengths[0]:.4g} mm is assumed: corners do not tell it",
         ]
-    if len(calibration.held_out):
-        held_out = np.sqrt((calibration.held_out**2).mean())
-        lines.append(f"poses left out of the fit one by one: {held_out:.4f} {calibration.evaluation.unit}")
-    lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} {calibration.evaluation.unit}")
+    lines.append(f"poses left out one by one: {rms(calibration.held_out[:, None]):.4f} {calibration.evaluation.unit}")
+    lines.append(
+        f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} {calibration.evaluation.unit}"
+    )
     if calibration.by_frames:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
@@ -318,11 +323,12 @@ def listed(items: Sequence[object], most: int) -> str:
     return ", ".join(map(str, items[:most])) + more
 
 
-def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool]:
+def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool, Array]:
     """Return the covariance (17, 17) of a fit's parameters, of which none is held fixed, and how frames disagree.
 
     That is by how much they disagree about the parameters, over what their residuals' scatter explains, and whether
-    this is more than chance allows, so that the covariance is that of leaving out frames. Shapes: `weights` (n,).
+    this is more than chance allows, so that the covariance is that of leaving out frames. Last, the RMS error of each
+    pose for a camera fitted to the others, to first order. Shapes: `weights` (n,).
     """
     count = len(NAMES)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
@@ -347,9 +353,11 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
             freedom += count
     disagreement = max(1.0, moved / freedom) if freedom > 0 else 1.0
     by_frames = freedom > 0 and disagreement > chi2.ppf(1 - 1e-3, freedom) / freedom
+    others = [np.concatenate(blocks[:g] + blocks[g + 1 :]) for g in range(frames)]
+    without = np.array([np.linalg.lstsq(block[:, :count], block[:, -1])[0] for block in others])
+    left_out = [np.linalg.norm(block[:, :count] @ x - block[:, -1]) for block, x in zip(blocks, without, strict=False)]
+    held_out = np.array(left_out) / np.sqrt(np.bincount(problem.corners.pose, weights))
     if by_frames:
-        others = [np.concatenate(blocks[:g] + blocks[g + 1 :]) for g in range(frames)]
-        without = np.array([np.linalg.lstsq(block[:, :count], block[:, -1])[0] for block in others])
         without -= without.mean(0)
         # From few frames the variance itself is uncertain, and errors over it follow Student's distribution.
         student = (frames - 1) / max(frames - 3, 0.5)
@@ -360,26 +368,10 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
         # Of views the white picture's scale along x and y is the scale of the distances, which its centres' scatter
         # does not tell.
         places, by_numbers = predict_centres(fit.numbers, problem.centres.lens, **problem.geometry)
-        errors = SCALE_ERROR * (places - places.mean(0))
-        moved_by = np.einsum("na,nak->ka", problem.centre_weight**2 * errors, by_numbers) / scale[:, None]
-        moved_by = inverse @ inverse.T @ moved_by
+        moved_by = np.einsum("na,nak->ka", SCALE_ERROR * (places - places.mean(0)), by_numbers) / scale[:, None]
+        moved_by = problem.centre_weight**2 * inverse @ inverse.T @ moved_by
         covariance = covariance + moved_by @ moved_by.T
-    return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames)
-
-
-def held_out_errors(problem: Problem, fit: Adjusted, weights: Array) -> Array:
-    """Return the RMS error of each pose's corners for a camera fitted to the other poses, to first order.
-
-    Shapes: `weights` (n,); the result (poses,).
-    """
-    _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(NAMES)))
-    errors = []
-    for pose in range(len(fit.poses)):
-        others = np.concatenate(blocks[:pose] + blocks[pose + 1 :])
-        scale = np.sqrt((others[:, :-1] ** 2).sum(0))
-        moved = np.linalg.lstsq(others[:, :-1] / scale, others[:, -1])[0] / scale
-        errors.append(((blocks[pose][:, :-1] @ moved - blocks[pose][:, -1]) ** 2).sum())
-    return np.sqrt(np.array(errors) / np.bincount(problem.corners.pose, weights))
+    return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames), held_out
 
 
 def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance: Array) -> list[Adjusted]:

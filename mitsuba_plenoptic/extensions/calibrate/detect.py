@@ -138,10 +138,10 @@ def divided_picture(image: Array, white: Array, centres: Table, name: str) -> Pi
 def even_colours(image: Array) -> Array:
     """Return a mosaic of colour filters in which these are equally bright; other pictures remain as they are."""
     means = np.array([[image[j::2, i::2].mean() for i in (0, 1)] for j in (0, 1)])
-    if not means.min() > 0 or np.ptp(means) < 0.02 * means.mean():
+    if not np.ptp(means) > 0.02 * means.mean():
         return image
-    gain = means.mean() / means
-    return image * np.tile(gain, (-(-image.shape[0] // 2), -(-image.shape[1] // 2)))[: image.shape[0], : image.shape[1]]
+    rows, columns = np.indices(image.shape, sparse=True)
+    return image * (means.mean() / means)[rows % 2, columns % 2]
 
 
 def evenly_lit(light: Array, centre: Array, radius: float) -> float:
@@ -248,5 +248,5 @@ def _improved(picture: Picture, corner: Array, lens: Array, located: Array, posi
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    names = VIEW_COLUMNS if "i" in corners.columns else CORNER_COLUMNS
+    names = VIEW_COLUMNS if corners.in_views else CORNER_COLUMNS
     write_table(path, Table("corners", {name: corners[name] for name in names}))

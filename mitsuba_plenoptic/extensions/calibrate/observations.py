@@ -26,7 +26,7 @@ from .adjustment import both_axes, robust_lines
 from .board_model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
-VIEW_COLUMNS = ("i", "j", *CORNER_COLUMNS[2:])
+VIEW_COLUMNS = ("x", "y", *CORNER_COLUMNS[2:])
 BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
 DOUBTFUL_COLUMN = "doubtful"
@@ -94,11 +94,6 @@ class LensIndex:
         k0, l0 = self.first
         return np.stack([k - k0 + self.odd_rows * (l % 2 - l0 % 2), self.row_sign * (l - l0)], axis=-1).astype(float)
 
-    def between(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
-        """Return positions as `unit` does, of places between lenses: k with the row's offset, and l."""
-        k0, l0 = self.first
-        return np.stack([i - k0 - self.odd_rows * (l0 % 2), self.row_sign * (j - l0)], axis=-1)
-
 
 @dataclass(frozen=True)
 class Table:
@@ -117,6 +112,11 @@ class Table:
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
+
+    @property
+    def in_views(self) -> bool:
+        """Whether these are corners in views, which have places among lenses."""
+        return "x" in self.columns
 
     @property
     def pixel(self) -> np.ndarray:
@@ -185,7 +185,7 @@ def read_corners(path: str | Path, board: Board, size: Shape) -> Table:
     size : (int, int)
         Columns and rows of the pictures.
     """
-    in_views = read_text(path, LARGEST_FILE).partition("\n")[0].startswith("i,")
+    in_views = read_text(path, LARGEST_FILE).partition("\n")[0].startswith("x,")
     table = read_table(path, VIEW_COLUMNS if in_views else CORNER_COLUMNS, (BLUR_COLUMN,))
     if BLUR_COLUMN in table.columns and not np.ptp(table[BLUR_COLUMN]) > 0:
         # The programs that write the column fill it with one value where they did not look for blur.
@@ -220,12 +220,12 @@ def require_on_detector(table: Table, size: Shape) -> None:
         )
 
 
-def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return the observations for a fit, and the frame index of each pose."""
+def observations(corners: Table, board: Board, index: LensIndex, grid: np.ndarray) -> tuple[Observations, np.ndarray]:
+    """Return the observations for a fit, and the frame index of each pose, with the places of lenses (3, 2)."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
-    if "i" in corners.columns:
-        lens = index.between(corners["i"], corners["j"])
+    if corners.in_views:
+        lens = (np.stack([corners["x"], corners["y"]], axis=-1) - grid[0]) @ np.linalg.inv(grid[1:])
     else:
         lens = index.unit(corners["k"], corners["l"])
     return Observations(lens, corners.pixel, positions, pose), frames

@@ -6,9 +6,16 @@ from scipy.spatial.transform import Rotation
 from mitsuba_plenoptic import PlenopticCamera, calibrate
 from mitsuba_plenoptic.calibration import Board, Table
 from mitsuba_plenoptic.extensions.calibrate.board_model import (
-    OFFSET, PRINCIPAL, Observations, _lenses, numbers_of, predict, predict_centres,
-)  # fmt: skip
+    OFFSET,
+    PRINCIPAL,
+    Observations,
+    _lenses,
+    numbers_of,
+    predict,
+    predict_centres,
+)
 from mitsuba_plenoptic.extensions.calibrate.calibration_result import SCALE_ERROR
+from mitsuba_plenoptic.extensions.calibrate.observations import VIEW_COLUMNS
 from mitsuba_plenoptic.extensions.calibrate.view_start import known_beforehand
 
 CAMERA = PlenopticCamera.preset("lytro")
@@ -66,8 +73,6 @@ def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0)):
     seen, grid = exact(numbers, board=board)
     seen = noisy(seen, grid, noise, generator)
     corner = np.round(seen.board / board.square).astype(int) @ [1, board.columns]
-    columns = *seen.lens.T, *seen.pixel.T, corner, seen.pose
-    corners = Table("corners.csv", dict(zip(("i", "j", "u", "v", "cluster", "frame"), columns, strict=True)))
     lens = np.indices((64, 64)).reshape(2, -1).T * 4 - 128
     shifted = lens + 0.5 * (lens[:, 1:] % 2) * [1, 0]
     pixel = predict_centres(numbers, shifted, **GEOMETRY)[0]
@@ -76,13 +81,16 @@ def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0)):
     off = generator.normal(0, scatter, (block.max() + 1, 2))[block.ravel()]
     pixel = (pixel - pixel.mean(0)) * scale + pixel.mean(0) + off
     columns = dict(zip("kluv", (*lens[inside].T, *pixel[inside].T), strict=True))
-    return corners, Table("centres.csv", columns)
+    # Places among lenses are those on the grid of centres, as these were found.
+    line = np.linalg.lstsq(np.column_stack([np.ones(inside.sum()), shifted[inside]]), pixel[inside])[0]
+    values = *(line[0] + seen.lens @ line[1:]).T, *seen.pixel.T, corner, seen.pose
+    return Table("corners.csv", dict(zip(VIEW_COLUMNS, values, strict=True))), Table("centres.csv", columns)
 
 
 def indexed(numbers, index):
     """The same numbers, for lenses that are counted from the one that a calibration calls the first."""
     numbers = numbers.copy()
-    unit = -index.between(np.zeros(1), np.zeros(1))
+    unit = -index.unit(np.zeros(1, int), np.zeros(1, int))
     numbers[OFFSET] = _lenses(numbers, unit, GEOMETRY["row_ratio"])[0][0]
     return numbers
 
