@@ -38,9 +38,6 @@ from .view_start import board_views, known_beforehand, seen_poses, view_start
 # less.
 _CORRELATED = 16
 
-# Error of corners in views that a first fit takes, in pitches.
-_VIEW_NOISE = 0.05
-
 
 @suggest_keywords
 def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
@@ -93,7 +90,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     if in_views:
         problem = replace(problem, grid=grid)
         numbers, poses, good = view_start(problem, start, frames)
-        noise = _VIEW_NOISE
+        # In pitches, for a first fit.
+        noise = 0.05
         problem = replace(problem, known=known_beforehand(start, noise))
     else:
         numbers, poses, good = start_values(problem, board, frames, grid, middle)

@@ -140,8 +140,8 @@ def even_colours(image: Array) -> Array:
     means = np.array([[image[j::2, i::2].mean() for i in (0, 1)] for j in (0, 1)])
     if not np.ptp(means) > 0.02 * means.mean():
         return image
-    rows, columns = np.indices(image.shape, sparse=True)
-    return image * (means.mean() / means)[rows % 2, columns % 2]
+    rows, columns = (np.arange(size) % 2 for size in image.shape)
+    return image * (means.mean() / means)[rows[:, None], columns]
 
 
 def evenly_lit(light: Array, centre: Array, radius: float) -> float:

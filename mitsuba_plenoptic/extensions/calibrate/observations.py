@@ -220,11 +220,13 @@ def require_on_detector(table: Table, size: Shape) -> None:
         )
 
 
-def observations(corners: Table, board: Board, index: LensIndex, grid: np.ndarray) -> tuple[Observations, np.ndarray]:
+def observations(
+    corners: Table, board: Board, index: LensIndex | None, grid: np.ndarray
+) -> tuple[Observations, np.ndarray]:
     """Return the observations for a fit, and the frame index of each pose, with the places of lenses (3, 2)."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
-    if corners.in_views:
+    if corners.in_views or index is None:
         lens = (np.stack([corners["x"], corners["y"]], axis=-1) - grid[0]) @ np.linalg.inv(grid[1:])
     else:
         lens = index.unit(corners["k"], corners["l"])

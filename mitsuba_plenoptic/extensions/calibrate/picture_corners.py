@@ -20,9 +20,6 @@ from .observations import DOUBTFUL_COLUMN, Board, Table, concatenate
 from .view_corners import detect_view_corners
 from .white_centres import find_centres
 
-_WHOLE = 0.97
-"""Size of a micro-image, in parts of what those that nothing clips have, below which its centre does not count."""
-
 
 def corners_of_pictures(
     paths: Sequence[Path],
@@ -48,7 +45,8 @@ def corners_of_pictures(
     if centres is None:
         with naming(white):
             centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
-    unfocused = set(focus_types(camera)) == {"unfocused"}
+    is_unfocused = focus_types(camera)[0] == "unfocused"
+    detect = partial(detect_view_corners, camera=camera) if is_unfocused else detect_corners
     tables = []
     for frame, path in enumerate(paths):
         recording = read_recording(path, linear)
@@ -57,9 +55,7 @@ def corners_of_pictures(
             f"{path}: its zoom and focus are at the steps {_motors(recording)}, those of {paths[0]} at "
             f"{_motors(first)}: a calibration is of one zoom and one focus",
         )
-        given = _image(recording), light, centres, board
-        detect = partial(detect_view_corners, camera=camera) if unfocused else detect_corners
-        tables.append(detect(*given, frame=frame, name=str(path)))
+        tables.append(detect(_image(recording), light, centres, board, frame=frame, name=str(path)))
         progress(frame + 1, len(paths))
     return camera, concatenate(tables), centres
 
@@ -74,7 +70,7 @@ def unclipped(centres: Table, white: Array) -> Table:
     _, _, patch = pixels_around(white, centres.pixel + 0.5, half)
     near = np.hypot(*(np.indices(patch.shape[1:]) - half)) < half
     size = (patch[:, near] / np.maximum(patch[:, half, half, None], 1e-9)).clip(0, 1).sum(1)
-    clipped = size < _WHOLE * np.quantile(size, 0.9)
+    clipped = size < 0.97 * np.quantile(size, 0.9)
     return Table(centres.name, centres.columns | {DOUBTFUL_COLUMN: centres[DOUBTFUL_COLUMN] | clipped})
 
 

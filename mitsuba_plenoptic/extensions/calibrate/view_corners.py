@@ -1,6 +1,6 @@
 r"""Corners of a checkerboard in the views of an unfocused plenoptic camera, from its raw pictures.
 
-A view is what one pixel of each micro-image sees, always at the same place beside the lens's centre. The nearest pixel is
+A view is what one pixel of each micro-image sees, always at one place beside the lens's centre. The nearest pixel is
 taken as it was recorded, without interpolation: it lies some part :math:`\delta` of a pixel beside that place, where
 the scene is seen displaced by :math:`d \delta`, with d the disparity of the board. So each pixel counts once, noise is
 independent from view to view, and mosaics of colour filters need no more than equal brightness of their colours.
@@ -19,7 +19,6 @@ from scipy.spatial import cKDTree
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
 from ...runtime import Array
-from .adjustment import deviation
 from .boards import Picture, located
 from .detect import divided_picture
 from .observations import DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, Table, find_lens_index
@@ -89,9 +88,9 @@ def detect_view_corners(
     picture = divided_picture(image, white, sure, name)
     index, grid = find_lens_index(centres, camera.lattice.stagger == 2, (np.array(picture.image.shape[::-1]) - 1) / 2)
     places = grid[0] + index.unit(centres["k"], centres["l"]) @ grid[1:]
-    lenses = Lenses(picture, places, cKDTree(places), float(np.hypot(*grid[1])))
+    lenses = Lenses(picture, places, cKDTree(places), np.hypot(*grid[1]))
     rims = [lenses.view(int(picture.even) * arm) for arm in _MIDDLE[1:]]
-    means = [float(value @ weight / weight.sum()) for value, weight, _ in rims]
+    means = [value @ weight / weight.sum() for value, weight, _ in rims]
     refuse_if(
         max(means) > 1.3 * min(means),
         f"{name}: its micro-images lie beside those of the white picture, which is of another camera, zoom or focus",
@@ -132,7 +131,7 @@ def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[
     strong = strength[y, x]
     # Along edges and in noise there are weaker ones.
     order = np.argsort(-strong)
-    order = order[strong[order] > 0.15 * strong[order[: expected // 2]].mean()] if len(order) else order
+    order = order[strong[order] > 0.15 / (expected // 2) * strong[order[: expected // 2]].sum()]
     y, x = y[order], x[order]
     place = np.column_stack([x, y])
     angle = np.arctan2(2 * xy, xx - yy)[y, x] / 2
@@ -257,7 +256,4 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
         table = table[good]
         disparity[:] = np.median(central[:, 2])
         place[seen], disparity[seen] = central[:, :2], central[:, 2]
-    of, arm, at = table[:, 0].astype(int), table[:, 1:3], table[:, 3:]
-    miss = np.hypot(*(at - place[of] - disparity[of, None] * arm).T)
-    agrees = miss < max(0.3 * pitch, 6 * deviation(miss))
-    return of[agrees], arm[agrees], at[agrees]
+    return table[:, 0].astype(int), table[:, 1:3], table[:, 3:]

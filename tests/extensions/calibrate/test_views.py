@@ -158,7 +158,7 @@ def test_corners_are_found_where_the_model_sees_them(pictures, filters):
 
 
 def test_parts_of_a_board_suffice(pictures):
-    poses, images, white = pictures
+    _, images, white = pictures
     half = images[0] * (np.arange(700)[:, None] > 250)
     table = detect_view_corners(half, white, camera_centres(SMALL), FEW, SMALL)
     # Counted from the first that is seen, as a board that lies some squares aside.
@@ -189,7 +189,6 @@ def test_pictures_become_a_camera_in_millimetres(pictures, tmp_path, run, compla
     # A part of the field leaves more open.
     held = next(line for line in printed.splitlines() if line.startswith("held, as the data leave them open: "))
     assert "principal_u +- 1" in held and "focal_length" not in held
-    camera, _ = cal.read_camera(output)
     record = json.loads(output.read_text())["calibration"]
     # A small part of the field tells distances to a per cent.
     depths = np.array([pose[5] for pose in record["poses"].values()])
