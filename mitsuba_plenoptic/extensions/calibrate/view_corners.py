@@ -89,8 +89,9 @@ def detect_view_corners(
     index, grid = find_lens_index(centres, camera.lattice.stagger == 2, (np.array(picture.image.shape[::-1]) - 1) / 2)
     places = grid[0] + index.unit(centres["k"], centres["l"]) @ grid[1:]
     lenses = Lenses(picture, places, cKDTree(places), np.hypot(*grid[1]))
+    middle = lenses.view(_MIDDLE[0])[0]
     rims = [lenses.view(int(picture.even) * arm) for arm in _MIDDLE[1:]]
-    means = [value @ weight / weight.sum() for value, weight, _ in rims]
+    means = [value @ weight / (middle @ weight) for value, weight, _ in rims]
     refuse_if(
         max(means) > 1.3 * min(means),
         f"{name}: its micro-images lie beside those of the white picture, which is of another camera, zoom or focus",
@@ -175,7 +176,7 @@ def _grown(place: Array, angle: Array) -> dict[tuple[int, int], int]:
                 crossed = np.cos(2 * (angle[here] - angle[next_one])) < -0.3
                 if there in grid or next_one in grid.values() or distance > 0.3 * np.hypot(*step) or not crossed:
                     continue
-                grid[there] = int(next_one)
+                grid[there] = next_one
                 turned = axes.copy()
                 turned[axis] = sign * (place[next_one] - place[here])
                 queue.append((there, turned))
@@ -187,7 +188,7 @@ def _grown(place: Array, angle: Array) -> dict[tuple[int, int], int]:
 
 def _fullness(grid: dict[tuple[int, int], int]) -> float:
     """Return how many corners a grid has, times the part of its columns and rows that is filled."""
-    return len(grid) ** 2 / float(np.prod(np.ptp(list(grid), axis=0) + 1)) if grid else 0.0
+    return len(grid) ** 2 / np.prod(np.ptp(list(grid), axis=0) + 1) if grid else 0.0
 
 
 def _counted(corner: Array, place: Array, board: Board, name: str) -> tuple[Array, Array]:
@@ -229,9 +230,9 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
     pitch, even = lenses.pitch, lenses.picture.even - 0.5
     steps = _steps(corner, place)
     # Of windows in pitches.
-    reach = float((0.42 * np.hypot(*steps.T).min() / pitch).clip(1.5, 6.0))
+    reach = (0.42 * np.hypot(*steps.T).min() / pitch).clip(1.5, 6.0)
     angles = np.tile(np.arctan2(*steps.T[::-1]), (len(place), 1))
-    middle = lenses.view(np.zeros(2))[1]
+    middle = lenses.view(_MIDDLE[0])[1]
     arms = np.indices((41, 41)).reshape(2, -1).T - 20
     radius = np.hypot(*arms.T)
     disparity = np.zeros(len(place))
@@ -239,7 +240,7 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
     # From view to view outwards; then all, as the disparity is known.
     for inner, outer in ((-1.0, 0.5), (0.5, 1.2), (1.2, 2.3), (-1.0, even)):
         found = [table] if inner > 0 else []
-        for arm in arms[(radius > inner) & (radius <= min(outer, even))]:
+        for arm in arms[(radius > inner) & (radius <= outer)]:
             value, weight, off = lenses.view(arm)
             # Of the part of the pupil that a pixel sees, the main lens's rim cuts off little.
             weight = weight * (weight > 0.85 * middle)
