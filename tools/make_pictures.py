@@ -230,6 +230,32 @@ def real_volume() -> Image.Image:
 
 
 @picture
+def unfocused_boards() -> Image.Image:
+    """Show a board in a raw picture of an unfocused camera, and in three views with the corners found there."""
+    camera = mp.PlenopticCamera.preset("lytro").replace(resolution=(1000, 1000), detector_width=1.4)
+    board = mp.calibration.Board(6, 5, 9.0)
+    pose = np.array([0.3, 0.2, 3.1, 24, 18, 320])
+    white = mp.views.white_image(camera)
+    centres = mp.calibration.find_centres(white).table("white")
+    image = mp.render_capture(mp.calibration.board_scene(board, pose, camera), spp=16).image
+    corners = mp.calibration.detect_view_corners(image, white, centres, board, camera)
+    lf = mp.decode(image, camera=camera)
+    row = [("Raw picture, 9 x 8 lenses", image[500:590, 500:590])]
+    step = camera.row_pitch * camera.image_growth / camera.pixel_size
+    for arm in (-3, 0, 3):
+        u = -arm * camera.pupil_step
+        view = mp.views.view(lf, u=u).values
+        shown = np.repeat((255 * view.clip(0, 1)).astype(np.uint8)[..., None], 3, axis=2).repeat(6, 0).repeat(6, 1)
+        beside = np.rint([corners["u"] - corners["x"], corners["v"] - corners["y"]]) == [[arm], [0]]
+        for place in np.stack([corners["x"], corners["y"]], axis=-1)[beside.all(0)]:
+            column, line = (6 * ((place - 499.5) / step + np.array(view.shape[::-1]) / 2)).astype(int)
+            for across, down in ((8, 1), (1, 8)):
+                shown[line - down : line + down + 1, column - across : column + across + 1] = (220, 120, 0)
+        row.append((f"View {arm:+d} pixels aside" if arm else "Central view", shown))
+    return sheet([row])
+
+
+@picture
 def laser() -> Image.Image:
     """Show a laser spot on a wall with one mode and several, and as if its light were incoherent."""
     size = {"detector_width": 0.256, "resolution": 128, "sky": 0.3}

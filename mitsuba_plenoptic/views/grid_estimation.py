@@ -225,9 +225,12 @@ class Discs:
         # Of fifth degree over the micro-images.
         column, row = ((centres - centres.mean(0)) / self.size).T
         terms = np.array(monomials(column, row, exponents(5)))
-        rows = terms * (inner_risen - inner_moved * risen / moved)
-        rise = terms.T @ np.linalg.lstsq(rows.T, (inner - inner_moved * rim / moved).T)[0]
-        shift = (rim.T - rise * risen[:, None]) / moved[:, None]
+        # Lenses that the main lens leaves dark have no middle.
+        lit = moved > 0.01 * np.median(moved)
+        moved = np.where(lit, moved, 1.0)
+        rows = terms * (inner_risen - inner_moved * risen / moved) * lit
+        rise = terms.T @ np.linalg.lstsq(rows.T, ((inner - inner_moved * rim / moved) * lit).T)[0]
+        shift = (rim.T - rise * risen[:, None]) / moved[:, None] * lit[:, None]
         return centres + shift.clip(-1, 1), light
 
 

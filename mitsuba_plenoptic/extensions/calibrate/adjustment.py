@@ -6,7 +6,7 @@ formed (B. Triggs et al., "Bundle adjustment - a modern synthesis", 2000, sectio
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -91,6 +91,15 @@ class Problem:
     centres: Observations | None = None
     # Weight of a centre's residual: the deviation of a corner over that of a centre.
     centre_weight: float = 1.0
+    # Places of lenses in pixels, (3, 2), if corners are seen in views, as for `predict`.
+    grid: Array | None = None
+    # Numbers that are roughly known beforehand, and the weights of the differences from them, (2, 17).
+    known: Array = field(default_factory=lambda: np.zeros((2, len(NAMES))))
+
+    @property
+    def observed(self) -> Array:
+        """What is predicted, as it was observed: pixels, or the positions of lenses in views in pitches."""
+        return self.corners.pixel if self.grid is None else self.corners.lens * [1.0, self.row_ratio]
 
     @property
     def geometry(self) -> dict[str, float]:
@@ -98,9 +107,9 @@ class Problem:
         return {"pixel_size": self.pixel_size, "row_ratio": self.row_ratio}
 
     def residuals(self, numbers: Array, poses: Array) -> np.ndarray:
-        """Return predicted minus observed pixels of the corners, (n, 2)."""
+        """Return predicted minus observed positions of the corners, (n, 2)."""
         with np.errstate(all="ignore"):
-            return predict(numbers, poses, self.corners, **self.geometry)[0] - self.corners.pixel
+            return predict(numbers, poses, self.corners, grid=self.grid, **self.geometry)[0] - self.observed
 
     def centre_residuals(self, numbers: Array) -> Array:
         """Return predicted minus observed pixels of the centres, (n, 2)."""
@@ -112,6 +121,7 @@ class Problem:
         """Return half the weighted sum of squared residuals; infinite where the model has no value."""
         square = (weights * (self.residuals(numbers, poses) ** 2).sum(1)).sum()
         square += self.centre_weight**2 * (self.centre_residuals(numbers) ** 2).sum()
+        square += ((self.known[1] * (numbers - self.known[0])) ** 2).sum()
         return 0.5 * float(square) if np.isfinite(square) else np.inf
 
     def blocks(self, numbers: Array, poses: Array, weights: Array, free: Array) -> tuple[list[Array], list[Array]]:
@@ -119,9 +129,9 @@ class Problem:
 
         The result has the shape (6, 6 + free + 1), (rows, free + 1).
         """
-        pixel, by_numbers, by_pose = predict(numbers, poses, self.corners, **self.geometry)
+        pixel, by_numbers, by_pose = predict(numbers, poses, self.corners, grid=self.grid, **self.geometry)
         rows = (
-            np.concatenate([by_pose, by_numbers[:, :, free], (self.corners.pixel - pixel)[:, :, None]], axis=2)
+            np.concatenate([by_pose, by_numbers[:, :, free], (self.observed - pixel)[:, :, None]], axis=2)
             * np.sqrt(weights)[:, None, None]
         )
         triangles = [_triangle(rows[self.corners.pose == index]) for index in range(len(poses))]
@@ -130,6 +140,9 @@ class Problem:
             pixel, by_numbers = predict_centres(numbers, self.centres.lens, **self.geometry)
             rows = np.concatenate([by_numbers[:, :, free], (self.centres.pixel - pixel)[:, :, None]], axis=2)
             camera.append(_triangle(self.centre_weight * rows))
+        if self.known[1].any():
+            value, weight = self.known
+            camera.append(np.column_stack([np.diag(weight)[:, free], weight * (value - numbers)]))
         return [triangle[:6] for triangle in triangles], camera
 
 

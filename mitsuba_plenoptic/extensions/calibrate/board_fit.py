@@ -32,6 +32,7 @@ from .observations import (
     require_on_detector,
 )
 from .start import board_images, start_values, upright_poses
+from .view_start import board_views, known_beforehand, seen_poses, view_start
 
 # Errors of detected centres are correlated over about this many lenses along each axis: the centres weigh accordingly
 # less.
@@ -69,6 +70,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     for table in filter(None, (corners, centres)):
         require_on_detector(table, start.crop_size)
     middle = (size - 1) / 2
+    in_views = corners.in_views
+    refuse_if(
+        in_views and centres is None,
+        f"{corners.name}: corners in views leave the camera open; give centres of micro-images, of a white picture",
+    )
     index, grid = find_lens_index(centres or corners, start.lattice.stagger == 2, middle)
     along, across = np.hypot(*grid[1:].T) / [1, start.lattice.row_ratio]
     # Pitches of a hexagonal lattice along and across rows that differ by a greater factor: turned by 30 degrees it can
@@ -79,12 +85,20 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         f"along its rows and {across:.4g} across them: rows must run along nearest neighbours; turn pictures of a "
         "hexagonal lattice by 90 degrees if its columns do",
     )
-    observed, frames = observations(corners, board, index)
+    observed, frames = observations(corners, board, index, grid)
     problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
-    numbers, poses, good = start_values(problem, board, frames, grid, middle)
+    if in_views:
+        problem = replace(problem, grid=grid)
+        numbers, poses, good = view_start(problem, start, frames)
+        # In pitches, for a first fit.
+        noise = 0.05
+        problem = replace(problem, known=known_beforehand(start, noise))
+    else:
+        numbers, poses, good = start_values(problem, board, frames, grid, middle)
+        noise = max(deviation(np.hypot(*problem.residuals(numbers, poses)[good].T)), 1e-3)
     if centres:
-        inliers, weight = _used_centres(centres, index, problem.residuals(numbers, poses)[good])
-        problem = _with_centres(problem, centres, inliers, index, weight)
+        inliers, scatter = _used_centres(centres, index)
+        problem = _with_centres(problem, centres, inliers, index, noise / scatter)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
     weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
@@ -94,6 +108,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         steps += fit.steps
         before = weights
         weights = _weights(problem, fit, frames)
+        if in_views:
+            noise = max(deviation(np.hypot(*problem.residuals(fit.numbers, fit.poses).T)), 1e-3)
+            problem = replace(problem, centre_weight=noise / scatter, known=known_beforehand(start, noise))
         fit = adjust(problem, fit.numbers, fit.poses, weights=weights)
         if ((before > 0) == (weights > 0)).all():
             break
@@ -102,7 +119,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     weights = _weights(problem, fit, frames)
     fit.numbers[PRINCIPAL] = np.round(2 * fit.numbers[PRINCIPAL]) / 2
     final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
-    covariance, disagreement, by_frames = fit_covariance(problem, final, weights)
+    covariance, disagreement, by_frames, held_out = fit_covariance(problem, final, weights)
     deviations = np.sqrt(np.diag(covariance))
     beyond = prediction_deviation(problem, final, covariance)
     refuse_if(
@@ -112,10 +129,13 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
+        if in_views and start.mla_focal_lengths == (start.detector_distance,):
+            # Corners do not tell it: lenses are taken as focused at infinity.
+            camera = camera.replace(mla_focal_length=camera.detector_distance)
     centre_residuals = np.zeros((0, 2))
     centre_outliers = np.zeros(0, dtype=int)
     if centres:
-        all_centres = _with_centres(problem, centres, np.ones(len(inliers), dtype=bool), index, weight)
+        all_centres = _with_centres(problem, centres, np.ones(len(inliers), dtype=bool), index, 1.0)
         centre_residuals = all_centres.centre_residuals(final.numbers)
         centre_outliers = np.flatnonzero(~inliers)
     blur = None
@@ -129,7 +149,7 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     return Calibration(
         camera,
         index,
-        Evaluation(problem.residuals(final.numbers, final.poses), frames, observed.pose, final.poses),
+        _evaluation(problem, final.numbers, final.poses, frames),
         dict(zip(NAMES, final.numbers.tolist(), strict=True)),
         dict(zip(NAMES, deviations.tolist(), strict=True)),
         covariance / np.outer(deviations, deviations),
@@ -140,6 +160,8 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         by_frames,
         centre_outliers,
         beyond,
+        held_out,
+        {NAMES[at]: float(deviations[at]) for at in np.flatnonzero(problem.known[1] * deviations > 0.7 * noise)},
     )
 
 
@@ -165,13 +187,25 @@ def evaluate(corners: Table, board: Board, camera: PlenopticCamera, index: LensI
     across = lattice.from_frame(0.0, lattice.row_distance)
     grid = np.stack([numbers[OFFSET], along, across]) * scale
     grid[0] += principal
-    if index is None:
+    if index is None and not corners.in_views:
         index, _ = find_lens_index(corners, lattice.stagger == 2, grid[0])
-    observed, frames = observations(corners, board, index)
+    observed, frames = observations(corners, board, index, grid)
     problem = Problem(observed, camera.pixel_size, lattice.row_ratio)
-    _, maps, good = board_images(problem, board, frames, grid, principal)
-    poses = adjust_poses(problem, numbers, upright_poses(maps, camera.focal_length), good.astype(float))
-    return Evaluation(problem.residuals(numbers, poses), frames, observed.pose, poses)
+    if corners.in_views:
+        problem = replace(problem, grid=grid)
+        views, _, good = board_views(problem, frames, principal)
+        first = seen_poses(views, (camera.mla_distance + camera.detector_distance) / camera.pixel_size)
+    else:
+        _, maps, good = board_images(problem, board, frames, grid, principal)
+        first = upright_poses(maps, camera.focal_length)
+    poses = adjust_poses(problem, numbers, first, good.astype(float))
+    return _evaluation(problem, numbers, poses, frames)
+
+
+def _evaluation(problem: Problem, numbers: Array, poses: Array, frames: Array) -> Evaluation:
+    """Return the residuals of a problem's corners, with their unit."""
+    unit = "px" if problem.grid is None else "px of views"
+    return Evaluation(problem.residuals(numbers, poses), frames, problem.corners.pose, poses, unit)
 
 
 def _with_centres(problem: Problem, centres: Table, inliers: Array, index: LensIndex, weight: float) -> Problem:
@@ -195,18 +229,17 @@ def _through_pupil(problem: Problem, residuals: Array, good: Array) -> Problem:
     return replace(problem, centres=observed, centre_weight=float(weight))
 
 
-def _used_centres(centres: Table, index: LensIndex, residuals: Array) -> tuple[Array, float]:
-    """Return a mask of the centres that a fit uses, spread evenly over the lattice, and their weight.
+def _used_centres(centres: Table, index: LensIndex) -> tuple[Array, float]:
+    """Return a mask of the centres that a fit uses, and the deviation with which they count, as errors are correlated.
 
-    The weight is the deviation of the corners' residuals over the deviation of centres, whose errors are correlated.
+    They are spread evenly over the lattice.
     """
     i, j = (index.unit(centres["k"], centres["l"]) / _CORRELATED).T
     matrix = np.column_stack([np.ones(len(i)), i, j, i * i, i * j, j * j])
     _, distance, inliers = robust_lines(both_axes(matrix), centres.pixel)
     if DOUBTFUL_COLUMN in centres.columns:
         inliers &= centres[DOUBTFUL_COLUMN] == 0
-    scatter = [max(deviation(distances), 1e-3) for distances in (np.hypot(*residuals.T), distance[inliers])]
-    return inliers, scatter[0] / scatter[1] / _CORRELATED
+    return inliers, max(deviation(distance[inliers]), 1e-3) * _CORRELATED
 
 
 def _require_matching_pupil(

@@ -105,18 +105,22 @@ def _inverse(matrix: Array) -> Array:
     return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
 
 
+def _axes(numbers: Array) -> tuple[Array, Array]:
+    """Return the steps of the lattice's axes, columns of (2, 2), in mm, and the slopes of the tilted array."""
+    angle = np.deg2rad(numbers[5])
+    rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    return rows * numbers[3:5], np.tan(np.deg2rad(numbers[8:10]))
+
+
 def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array, Array, Array]:
     """Return the lenses' centres (n, 2) and heights (n,) over the plane z = -b, and their derivatives."""
-    along, across, turn, ox, oy, tilt_x, tilt_y = numbers[3:10]
-    angle = np.deg2rad(turn)
-    rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    axes, slopes = _axes(numbers)
     unit = lens * [1.0, row_ratio]
-    spoke = unit * [along, across] @ rows.T
-    c = spoke + np.array([ox, oy])
-    slopes = np.tan(np.deg2rad([tilt_x, tilt_y]))
+    spoke = unit @ axes.T
+    c = spoke + numbers[OFFSET]
     c_by = np.zeros((len(lens), 2, len(NAMES)))
     # Pitches, rotation, offset, and below the tilt.
-    c_by[:, :, 3:5] = unit[:, None] * rows
+    c_by[:, :, 3:5] = unit[:, None] * (axes / numbers[3:5])
     c_by[:, :, 5] = np.deg2rad(spoke[:, ::-1] * [-1, 1])
     c_by[:, :, OFFSET] = np.eye(2)
     h_by = slopes @ c_by
@@ -156,15 +160,23 @@ def centres_of(camera: PlenopticCamera, lens: Array) -> Array:
 
 
 def predict(
-    numbers: Array, poses: Array, observed: Observations, *, pixel_size: float, row_ratio: float
+    numbers: Array,
+    poses: Array,
+    observed: Observations,
+    *,
+    pixel_size: float,
+    row_ratio: float,
+    grid: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
+
+    With a grid of lenses in pixels, (3, 2), corners are seen in views instead: a view is what pixels at one place
+    beside the grid's lenses see, and the position of the lens is predicted, in pitches along x and y of the lattice.
 
     Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
     """
     f, b, z = numbers[:3]
     n = len(observed)
-    c, h, c_by, h_by = _lenses(numbers, observed.lens, row_ratio)
     # The point and its image.
     corner = np.concatenate([observed.board, np.zeros((n, 1))], axis=1)
     X = np.empty((n, 3))
@@ -186,32 +198,52 @@ def predict(
     q_by[:, :, 0] = -X[:, :2] * (g / beyond**2)[:, None]
     gamma_by[:, 0] = g**2 / (beyond**2 * b)
     gamma_by[:, 1] = -gamma / b
-    # The ray's slope.
-    t = np.zeros((n, 2))
+    c, h, c_by, h_by = _lenses(numbers, observed.lens, row_ratio)
+    # What is found: the ray's slope, or in views the lens, by how much it lies from the observed one.
+    found = np.zeros((n, 2))
+    t = found
+    if grid is not None:
+        axes, slopes = _axes(numbers)
+        p_by_lens = pixel_size * (grid[1:] / [[1.0], [row_ratio]]).T
+        p = (observed.pixel - numbers[PRINCIPAL]) * pixel_size
     for _ in range(2):
         # the tilt is a thousandth of a radian and the distortion a few per cent: each step gains five digits
+        if grid is not None:
+            c, h, c_by, h_by = _lenses(numbers, observed.lens + found / [1.0, row_ratio], row_ratio)
+            t = (c - p - found @ p_by_lens.T) / (z + h)[:, None]
         m = c - h[:, None] * t
         P = c + (b - h)[:, None] * t
         source, bend, source_by = _undistorted(m, numbers[12:])
         miss = P * (1 - gamma)[:, None] + gamma[:, None] * source - q
+        by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
         by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * bend
-        inverse = _inverse(by_t)
-        t = t - np.einsum("nab,nb->na", inverse, miss)
-    by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
+        by_h = -np.einsum("nab,nb->na", by_c, t)
+        by_found = by_t
+        if grid is not None:
+            t_by_lens = (axes - p_by_lens - t[:, :, None] * (slopes @ axes)) / (z + h)[:, None, None]
+            by_found = by_c @ axes + by_h[:, :, None] * (slopes @ axes) + by_t @ t_by_lens
+        inverse = _inverse(by_found)
+        found = found - np.einsum("nab,nb->na", inverse, miss)
+        if grid is None:
+            t = found
     by_h = -np.einsum("nab,nb->na", by_c, t)
     miss_by = by_c @ c_by + by_h[:, :, None] * h_by[:, None] + (source - P)[:, :, None] * gamma_by[:, None] - q_by
     miss_by[:, :, 1] += (1 - gamma)[:, None] * t
     miss_by[:, :, 12:] += gamma[:, None, None] * source_by
-    t_by = -inverse @ miss_by
     by_X = np.zeros((n, 2, 3))
     by_X[:, 0, 0] = by_X[:, 1, 1] = -f / beyond
     by_X[:, :, 2] = (source - P) * (f**2 / (beyond**2 * b))[:, None] - q / beyond[:, None]
-    t_by_pose = inverse @ by_X @ X_by
-    p = c - (z + h)[:, None] * t
-    p_by = c_by - (z + h)[:, None, None] * t_by - t[:, :, None] * h_by[:, None]
+    by_pose = inverse @ by_X @ X_by
+    if grid is not None:
+        t_by = c_by - t[:, :, None] * h_by[:, None]
+        t_by[:, :, 2] -= t
+        t_by[:, :, PRINCIPAL] += pixel_size * np.eye(2)
+        miss_by += by_t @ t_by / (z + h)[:, None, None]
+        return observed.lens * [1.0, row_ratio] + found, -inverse @ miss_by, by_pose
+    p_by = c_by + (z + h)[:, None, None] * (inverse @ miss_by) - t[:, :, None] * h_by[:, None]
     p_by[:, :, 2] -= t
-    pixel, by_numbers = _pixels(numbers, p, p_by, pixel_size)
-    return pixel, by_numbers, t_by_pose * (-(z + h) / pixel_size)[:, None, None]
+    pixel, by_numbers = _pixels(numbers, c - (z + h)[:, None] * t, p_by, pixel_size)
+    return pixel, by_numbers, by_pose * (-(z + h) / pixel_size)[:, None, None]
 
 
 def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:

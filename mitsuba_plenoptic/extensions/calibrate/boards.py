@@ -228,16 +228,21 @@ def find_saddles(
         w = weight[y, x] * (reach + 0.5 - np.hypot(*np.moveaxis(shown_at - start[:, None], 2, 0))).clip(0, 1)
         w *= np.hypot(*np.moveaxis(arm, 2, 0)) < even
         w *= (pixel == np.stack([x, y], axis=-1)).all(2)
-        total = w.sum(1)
-        p = np.column_stack([start, angles[rows], np.full(len(rows), np.log(1.2))])
-        p, linear, square, information = _descend(shown_at, image[y, x], w, p)
-        covariance = np.linalg.pinv(information[:, :2, :2]) * (square / np.maximum(total - 7, 1))[:, None, None]
-        deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
-        good = (total > 12) & (np.hypot(*(p[:, :2] - start).T) < _FARTHEST)
-        return p[:, :2], np.where(good, deviation, np.inf), np.abs(linear[:, 1])
+        return located(shown_at, image[y, x], w, start, angles[rows])
 
     blocks = np.array_split(np.arange(len(position)), max(1, -(-len(position) // 2048)))
     return Saddles(*map(np.concatenate, zip(*map(fitted, blocks), strict=True)))
+
+
+def located(shown_at: Array, value: Array, w: Array, start: Array, angles: Array) -> tuple[Array, Array, Array]:
+    """Return the `Saddles` (n,) fitted to weighted values at places (n, pixels, 2), as a tuple."""
+    total = w.sum(1)
+    p = np.column_stack([start, angles, np.full(len(start), np.log(1.2))])
+    p, linear, square, information = _descend(shown_at, value, w, p)
+    covariance = np.linalg.pinv(information[:, :2, :2]) * (square / np.maximum(total - 7, 1))[:, None, None]
+    deviation = np.sqrt(np.linalg.eigvalsh(covariance)[:, 1].clip(0))
+    good = (total > 12) & (np.hypot(*(p[:, :2] - start).T) < _FARTHEST)
+    return p[:, :2], np.where(good, deviation, np.inf), np.abs(linear[:, 1])
 
 
 def _descend(pixel: Array, value: Array, w: Array, p: Array) -> tuple[Array, Array, Array, Array]:

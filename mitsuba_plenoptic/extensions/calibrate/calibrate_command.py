@@ -154,25 +154,30 @@ def corners(
 
 
 def boards(
-    corners: Table,
+    sources: list[options.Existing],
     *,
     output: Annotated[Path, options.ends_in(".json")],
-    camera: options.CameraFile,
     board: str,
     square: float,
+    camera: options.CameraFile | None = None,
+    white: options.Existing | None = None,
     centres: options.Existing | None = None,
+    linear: bool = False,
     report: Annotated[Path, options.ends_in(".html")] | None = None,
 ) -> None:
-    """Fit a camera to the corners of a checkerboard in several poses.
+    """Fit a camera to a checkerboard in several poses: to its corners, or to raw pictures of it.
 
     Start values come from the data, except for what [bold]--camera[/bold] provides: detector, lattice and f-number.
+    Pictures of Lytro's cameras and captures state it themselves.
 
     Parameters
     ----------
-    corners : CORNERS.csv
-        Corners of the board, as 'calibrate corners' writes them.
+    sources : CORNERS.csv | PICTURE...
+        Corners of the board, as 'calibrate corners' writes them, or raw pictures of it, one for each pose.
     output : FILE.json
         File to write: the camera.
+    white : FILE | FOLDER
+        For pictures: a white picture of the same camera, or a folder of those of a Lytro camera.
     centres : FILE
         Centres of micro-images, fitted jointly, as 'calibrate centres' writes them, or those of LFToolbox and
         PlenoptiCam (.json).
@@ -180,19 +185,34 @@ def boards(
     Examples
     --------
     $ mitsuba-plenoptic calibrate boards corners.csv --board 9x5 --square 10 --camera start.json -o camera.json
+    $ mitsuba-plenoptic calibrate boards board*.lfr --white whites --board 19x19 --square 3.61 -o camera.json
     """
     from ...runtime import require_output
 
     for path in filter(None, (output, report)):
-        require_output(path, corners, centres)
-    start, _ = inputs.load_camera(camera, {})
+        require_output(path, *sources, centres, white)
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
 
     size = calibration.Board.parse(board, square)
-    table = calibration.read_corners(corners, size, start.crop_size)
     middles = None if centres is None else calibration.read_centres(centres)
+    start = None if camera is None else inputs.load_camera(camera, {})[0]
+    tables = [path for path in sources if path.suffix.lower() == ".csv"]
+    refuse_if(tables and len(sources) > 1, f"{sources[0]}: give one table of corners, or pictures")
+    if not tables:
+        from .picture_corners import corners_of_pictures
+
+        with progress_bar("Finding corners") as progress:
+            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, progress)
+        for frame, path in enumerate(sources):
+            rows = table.keep(table["frame"] == frame)
+            typer.echo(f"frame {frame}, {path.name}: {len(set(rows['cluster']))} corners, seen {len(rows['u'])} times")
+    else:
+        if start is None:
+            raise InputError("--camera: a table of corners needs it")
+        inputs.refuse_options("a table of corners", white=white, linear=linear)
+        table = calibration.read_corners(sources[0], size, start.crop_size)
     result = calibration.calibrate(table, size, start, middles)
     calibration.write_calibration(output, result, size)
     if report:
@@ -313,7 +333,7 @@ def evaluate(corners: Table, *, camera: options.CameraFile, board: str, square: 
     size = calibration.Board.parse(board, square)
     evaluation = calibration.evaluate(calibration.read_corners(corners, size, tested.crop_size), size, tested, index)
     for frame, error in zip(evaluation.frames, evaluation.pose_errors, strict=True):
-        typer.echo(f"frame {frame}: {error:.4f} px")
+        typer.echo(f"frame {frame}: {error:.4f} {evaluation.unit}")
     typer.echo("\n".join([*outlier_lines(evaluation, _NAMED), error_line(evaluation)]))
 
 

@@ -8,6 +8,7 @@ from .calibration_result import Calibration, Evaluation
 from .detect import detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
 from .stop_fit import StopFit, fit_stop
+from .view_corners import detect_view_corners
 from .white_centres import Centres, find_centres, write_centres
 from .white_fit import WhiteFit, fit_white
 
@@ -25,6 +26,7 @@ __all__ = [
     "calibrate",
     "concatenate",
     "detect_corners",
+    "detect_view_corners",
     "evaluate",
     "find_centres",
     "fit_stop",

@@ -30,7 +30,7 @@ def write_calibration_report(
     size = calibration.camera.crop_size
     evaluation = calibration.evaluation
     outliers = evaluation.outliers
-    lens = residual_map(calibration, board, corners, "lens", 1)
+    lens = residual_map(calibration, board, corners, "view" if corners.in_views else "lens", 1)
     # Rows far off would hide in means what the others show.
     usual = replace(calibration, evaluation=evaluation.without_outliers())
     corners = corners.keep(np.delete(np.arange(len(evaluation.residuals)), outliers))
@@ -49,18 +49,23 @@ def write_calibration_report(
     by_radius = [(*radius[rows[[0, -1]]], len(rows), rms(usual.evaluation.residuals[rows])) for rows in ranges]
     residuals: list[pages.Block] = [
         *(pages.Picture(arrows(middle, mean, size).png(), f"{name}: {caption}") for name, middle, mean in maps),
-        pages.Picture(lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."),
+        _ranges("Views: pixels from the pupil's middle", zip(*lens.key.T, lens.count, lens.error, strict=True))
+        if corners.in_views
+        else pages.Picture(
+            lens_errors(lens, size).png(), "Error of the corners that each lens shows, at its micro-image."
+        ),
         _ranges("Pixels from the detector's centre", by_radius),
         _ranges("Distance of the corner, mm", zip(*depth.key.T, depth.count, depth.error, strict=True)),
     ]
     *lines, error = summary(calibration, 100)
     records = [(name, value, calibration.deviations[name], UNITS[name]) for name, value in calibration.numbers.items()]
     numbers = pages.Table({"number": "{0}", "value": "{1:.7g}", "deviation": "{2:.2g}", "unit": "{3}"}, records)
-    columns = {"frame": "{0}", "error, px": "{1:.4f}", "outliers": "{2}"}
+    columns = {"frame": "{0}", "error": "{1:.4f}", "outliers": "{2}", "held out": "{6:.4f}"}
     columns |= {f"{axis}, mm": f"{{{column}:.2f}}" for column, axis in enumerate("xyz", 3)}
     of_pose = np.bincount(evaluation.pose[outliers], minlength=len(evaluation.frames))
     positions = np.asarray(evaluation.poses)[:, 3:].T
-    poses = zip(evaluation.frames, evaluation.pose_errors, of_pose, *positions, strict=True)
+    errors = evaluation.frames, evaluation.pose_errors, of_pose
+    poses = zip(*errors, *positions, calibration.held_out, strict=True)
     picture = pages.Picture(boards(calibration, board).png(), "Boards before the camera.")
     sections = [
         pages.Section("Numbers", [numbers, lines]),
@@ -73,7 +78,7 @@ def write_calibration_report(
 
 def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
     """Return the errors in ranges of a quantity."""
-    return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error, px": "{3:.4f}"}, ranges)
+    return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error": "{3:.4f}"}, ranges)
 
 
 @plots.styled

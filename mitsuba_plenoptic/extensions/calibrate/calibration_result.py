@@ -13,11 +13,14 @@ from ...camera import PlenopticCamera
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
-from .board_model import NAMES, centres_of
+from .board_model import NAMES, UNITS, centres_of, predict_centres
 from .observations import Board, LensIndex, Table, placed
 
 OPEN = 0.1
 """Part of the focal length from which on its deviation leaves it open."""
+
+SCALE_ERROR = 1e-5
+"""Error of the distances of centres in a white picture, in parts of them, that their scatter does not tell."""
 
 REMEDY = "give centres of micro-images, or add poses nearer and farther, in which the board is tilted by 20 degrees"
 """What determines an open focal length."""
@@ -37,12 +40,15 @@ class Evaluation:
         Index, among the poses, of each row's pose.
     poses : (poses, 6) array
         Rotation vector (radians) and position of the board's first corner in mm, from the board's to the camera frame.
+    unit : str
+        Unit of the residuals: pixels of the picture, or pixels of views, which are lenses.
     """
 
     residuals: Array
     frames: Array
     pose: Array
     poses: Array
+    unit: str = "px"
 
     @property
     def error(self) -> float:
@@ -102,6 +108,11 @@ class Calibration:
     prediction_deviation : float
         RMS displacement in pixels, due to errors of the parameters, of corners of boards turned by 30 degrees from the
         observed ones, with fitted poses.
+    held_out : (poses,) array
+        Error of each pose's corners, in the unit of the residuals, for a camera fitted to the other poses.
+    assumed : dict
+        Of corners in views: numbers that the data leave open, with deviations, mostly those assumed for them from 0 or
+        from the middle of the picture.
     """
 
     camera: PlenopticCamera
@@ -117,6 +128,8 @@ class Calibration:
     by_frames: bool = False
     centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
     prediction_deviation: float = 0.0
+    held_out: Array = field(default_factory=lambda: np.zeros(1))
+    assumed: dict[str, float] = field(default_factory=dict)
 
     @property
     def centre_error(self) -> float | None:
@@ -172,7 +185,8 @@ class ResidualMap:
         Property that a group's observations have in common, as for `residual_map`.
     key : (groups, columns) array
         Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
-        micro-image in pixels; ``field``: middle of a square of the detector, in pixels;
+        micro-image in pixels; ``view``: least and greatest distance of its pixels
+        from the lenses' centres; ``field``: middle of a square of the detector, in pixels;
         ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
     count : (groups,) int array
         Number of observations in each group.
@@ -190,7 +204,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Return the residuals of a calibration's corners in groups by lens, field, depth or pose.
+    """Return the residuals of a calibration's corners in groups by lens, view, field, depth or pose.
 
     `parts` are squares of the field along the detector's rows, or ranges of depth with as many observations each.
     """
@@ -200,6 +214,10 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     if by == "lens":
         lenses, group = np.unique(np.stack([corners["k"], corners["l"]], axis=-1), axis=0, return_inverse=True)
         key = np.concatenate([lenses, centres_of(camera, calibration.index.unit(*lenses.T))], axis=1)
+    elif by == "view":
+        beside = corners.pixel - np.stack([corners["x"], corners["y"]], axis=-1)
+        key, group = np.unique(np.rint(np.hypot(*beside.T)), return_inverse=True)
+        key = np.stack([key, key], axis=-1)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
     elif by == "depth":
@@ -246,7 +264,22 @@ def summary(calibration: Calibration, most: int) -> list[str]:
             f"the corners leave the focal length open; with {moved['focal_length']:+.2g} mm go {terms or 'the poses'}: "
             f"{REMEDY}"
         )
-    lines.append(f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} px")
+    if calibration.assumed:
+        terms = ", ".join(
+            f"{name} +- {deviation:.2g} {UNITS[name]}".rstrip() for name, deviation in calibration.assumed.items()
+        )
+        lines.append(f"held, as the data leave them open: {terms}")
+    camera = calibration.camera
+    if calibration.evaluation.unit != "px":
+        lines += [
+            f"lengths go with the stated width of pixels, {camera.pixel_size:.4g} mm: where it is 1 % more, "
+            "mla_distance and pitch are 1 % more, detector_distance 2 %",
+            f"mla_focal_length {camera.mla_focal_lengths[0]:.4g} mm is assumed: corners do not tell it",
+        ]
+    lines.append(f"poses left out one by one: {rms(calibration.held_out[:, None]):.4f} {calibration.evaluation.unit}")
+    lines.append(
+        f"boards in other poses are predicted to {calibration.prediction_deviation:.2g} {calibration.evaluation.unit}"
+    )
     if calibration.by_frames:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
@@ -272,15 +305,16 @@ def outlier_lines(evaluation: Evaluation, most: int) -> list[str]:
     frames = ", ".join(f"{n} of {frame}" for n, frame in zip(counts, evaluation.frames[poses], strict=True))
     return [
         f"{len(rows)} outliers, in lines {listed((rows + 2).tolist(), most)}; by frame: {frames}",
-        f"without outliers {evaluation.error_without_outliers:.4f} px over {len(evaluation.residuals) - len(rows)} "
-        "observations",
+        f"without outliers {evaluation.error_without_outliers:.4f} {evaluation.unit} over "
+        f"{len(evaluation.residuals) - len(rows)} observations",
     ]
 
 
 def error_line(evaluation: Evaluation) -> str:
     """Return the line on the error of all rows."""
     count = len(evaluation.residuals)
-    return f"reprojection error {evaluation.error:.4f} px over {count} observations of {len(evaluation.frames)} poses"
+    error = f"{evaluation.error:.4f} {evaluation.unit}"
+    return f"reprojection error {error} over {count} observations of {len(evaluation.frames)} poses"
 
 
 def listed(items: Sequence[object], most: int) -> str:
@@ -289,11 +323,12 @@ def listed(items: Sequence[object], most: int) -> str:
     return ", ".join(map(str, items[:most])) + more
 
 
-def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool]:
+def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool, Array]:
     """Return the covariance (17, 17) of a fit's parameters, of which none is held fixed, and how frames disagree.
 
     That is by how much they disagree about the parameters, over what their residuals' scatter explains, and whether
-    this is more than chance allows, so that the covariance is that of leaving out frames. Shapes: `weights` (n,).
+    this is more than chance allows, so that the covariance is that of leaving out frames. Last, the RMS error of each
+    pose for a camera fitted to the others, to first order. Shapes: `weights` (n,).
     """
     count = len(NAMES)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
@@ -318,16 +353,25 @@ def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Arr
             freedom += count
     disagreement = max(1.0, moved / freedom) if freedom > 0 else 1.0
     by_frames = freedom > 0 and disagreement > chi2.ppf(1 - 1e-3, freedom) / freedom
+    others = [np.concatenate(blocks[:g] + blocks[g + 1 :]) for g in range(frames)]
+    without = np.array([np.linalg.lstsq(block[:, :count], block[:, -1])[0] for block in others])
+    left_out = [np.linalg.norm(block[:, :count] @ x - block[:, -1]) for block, x in zip(blocks, without, strict=False)]
+    held_out = np.array(left_out) / np.sqrt(np.bincount(problem.corners.pose, weights))
     if by_frames:
-        others = [np.concatenate(blocks[:g] + blocks[g + 1 :]) for g in range(frames)]
-        without = np.array([np.linalg.lstsq(block[:, :count], block[:, -1])[0] for block in others])
         without -= without.mean(0)
         # From few frames the variance itself is uncertain, and errors over it follow Student's distribution.
         student = (frames - 1) / max(frames - 3, 0.5)
         covariance = covariance + student * (frames - 1) / frames * without.T @ without
     else:
         covariance = covariance * disagreement
-    return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames)
+    if problem.grid is not None and problem.centres is not None:
+        # Of views the white picture's scale along x and y is the scale of the distances, which its centres' scatter
+        # does not tell.
+        places, by_numbers = predict_centres(fit.numbers, problem.centres.lens, **problem.geometry)
+        moved_by = np.einsum("na,nak->ka", SCALE_ERROR * (places - places.mean(0)), by_numbers) / scale[:, None]
+        moved_by = problem.centre_weight**2 * inverse @ inverse.T @ moved_by
+        covariance = covariance + moved_by @ moved_by.T
+    return covariance / np.outer(scale, scale), float(np.sqrt(disagreement)), bool(by_frames), held_out
 
 
 def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance: Array) -> list[Adjusted]:

@@ -18,7 +18,7 @@ from ...views import lens_types, pixels_around
 from .blur import CutBlur
 from .board_model import centres_of
 from .boards import Picture, find_board, find_saddles
-from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, Board, LensIndex, Table, write_table
+from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, LensIndex, Table, write_table
 
 
 def detect_corners(
@@ -66,7 +66,7 @@ def detect_corners(
         camera.require_array("detect_corners")
     if DOUBTFUL_COLUMN in centres.columns:
         centres = centres.keep(centres[DOUBTFUL_COLUMN] == 0)
-    picture = _picture(image, white, centres, name)
+    picture = divided_picture(image, white, centres, name)
     corner, lens, position = _refined(picture, *find_board(picture, board), camera)
     refuse_if(
         not len(corner),
@@ -104,8 +104,9 @@ def camera_centres(camera: PlenopticCamera, index: LensIndex | None = None) -> T
     return Table("camera", {"k": k, "l": l, "u": u, "v": v}).keep(inside)
 
 
-def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
-    values, light = (_grey(label, picture) for label, picture in ((name, image), ("white", white)))
+def divided_picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
+    """Return a raw picture divided by the white one, with its micro-images."""
+    values, light = (even_colours(_grey(label, picture)) for label, picture in ((name, image), ("white", white)))
     refuse_if(
         values.shape != light.shape,
         f"{name}: it has {values.shape[1]} x {values.shape[0]} pixels, and the white picture {light.shape[1]} x "
@@ -132,6 +133,15 @@ def _picture(image: Array, white: Array, centres: Table, name: str) -> Picture:
     radius = min(nearest, float(np.sqrt(lit / np.pi)))
     even = evenly_lit(light, middle[inside], radius)
     return Picture(name, divided, weight, middle[inside], radius, even if even > 0.6 * radius else radius)
+
+
+def even_colours(image: Array) -> Array:
+    """Return a mosaic of colour filters in which these are equally bright; other pictures remain as they are."""
+    means = np.array([[image[j::2, i::2].mean() for i in (0, 1)] for j in (0, 1)])
+    if not np.ptp(means) > 0.02 * means.mean():
+        return image
+    rows, columns = (np.arange(size) % 2 for size in image.shape)
+    return image * (means.mean() / means)[rows[:, None], columns]
 
 
 def evenly_lit(light: Array, centre: Array, radius: float) -> float:
@@ -238,4 +248,5 @@ def _improved(picture: Picture, corner: Array, lens: Array, located: Array, posi
 
 def write_corners(path: str | Path, corners: Table) -> None:
     """Write corners as a CSV file for `calibrate`."""
-    write_table(path, Table("corners", {name: corners[name] for name in CORNER_COLUMNS}))
+    names = VIEW_COLUMNS if corners.in_views else CORNER_COLUMNS
+    write_table(path, Table("corners", {name: corners[name] for name in names}))

@@ -26,6 +26,7 @@ from .adjustment import both_axes, robust_lines
 from .board_model import Observations
 
 CORNER_COLUMNS = ("k", "l", "u", "v", "cluster", "frame")
+VIEW_COLUMNS = ("x", "y", *CORNER_COLUMNS[2:])
 BLUR_COLUMN = "rho"
 CENTRE_COLUMNS = ("k", "l", "u", "v")
 DOUBTFUL_COLUMN = "doubtful"
@@ -113,6 +114,11 @@ class Table:
         return self.columns[name]
 
     @property
+    def in_views(self) -> bool:
+        """Whether these are corners in views, which have places among lenses."""
+        return "x" in self.columns
+
+    @property
     def pixel(self) -> np.ndarray:
         """Columns u and v as an array (n, 2), in pixels."""
         return np.stack([self["u"], self["v"]], axis=-1)
@@ -179,7 +185,8 @@ def read_corners(path: str | Path, board: Board, size: Shape) -> Table:
     size : (int, int)
         Columns and rows of the pictures.
     """
-    table = read_table(path, CORNER_COLUMNS, (BLUR_COLUMN,))
+    in_views = read_text(path, LARGEST_FILE).partition("\n")[0].startswith("x,")
+    table = read_table(path, VIEW_COLUMNS if in_views else CORNER_COLUMNS, (BLUR_COLUMN,))
     if BLUR_COLUMN in table.columns and not np.ptp(table[BLUR_COLUMN]) > 0:
         # The programs that write the column fill it with one value where they did not look for blur.
         del table.columns[BLUR_COLUMN]
@@ -213,11 +220,17 @@ def require_on_detector(table: Table, size: Shape) -> None:
         )
 
 
-def observations(corners: Table, board: Board, index: LensIndex) -> tuple[Observations, np.ndarray]:
-    """Return the observations for a fit, and the frame index of each pose."""
+def observations(
+    corners: Table, board: Board, index: LensIndex | None, grid: np.ndarray
+) -> tuple[Observations, np.ndarray]:
+    """Return the observations for a fit, and the frame index of each pose, with the places of lenses (3, 2)."""
     frames, pose = np.unique(corners["frame"], return_inverse=True)
     positions = board.places(corners["cluster"])
-    return Observations(index.unit(corners["k"], corners["l"]), corners.pixel, positions, pose), frames
+    if corners.in_views or index is None:
+        lens = (np.stack([corners["x"], corners["y"]], axis=-1) - grid[0]) @ np.linalg.inv(grid[1:])
+    else:
+        lens = index.unit(corners["k"], corners["l"])
+    return Observations(lens, corners.pixel, positions, pose), frames
 
 
 def placed(positions: np.ndarray, poses: np.ndarray, pose: np.ndarray) -> np.ndarray:

@@ -12,6 +12,9 @@ by a fit of few numbers.
 Rows that disagree with most rows of their frame are left out.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ...errors import InputError, refuse_if
@@ -56,21 +59,13 @@ def start_values(
     f = 2 * size * float(np.hypot(*np.ptp(observed.pixel, axis=0)))
     b = f * (1 + less / per_z)
     z = f / per_z
-    numbers = np.zeros(len(NAMES))
-    numbers[:3] = f, b, z
-    shrunk = size / (1 + z / b)
-    numbers[3:5] = np.hypot(*grid[1:].T) * shrunk / [1, problem.row_ratio]
-    numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
-    numbers[OFFSET] = (grid[0] - principal) * shrunk
-    numbers[PRINCIPAL] = principal
-    groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
-    chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
-    few = observed.keep(chosen)
-    thinned = Problem(few, size, problem.row_ratio)
+    numbers = first_numbers(problem, (f, b, z), grid, principal)
+    few = thinned(problem, good)
     try:
-        fit = adjust(thinned, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
-        fit = adjust(thinned, fit.numbers, adjust_poses(thinned, fit.numbers, fit.poses, np.ones(len(few))), NAMES[:3])
-        error = np.sqrt(2 * fit.cost / len(few))
+        fit = adjust(few, numbers, upright_poses(maps, f), NAMES[:3], most_steps=60)
+        ones = np.ones(len(few.corners))
+        fit = adjust(few, fit.numbers, adjust_poses(few, fit.numbers, fit.poses, ones), NAMES[:3])
+        error = np.sqrt(2 * fit.cost / len(ones))
         failure = "" if error < 20.0 else f"start values miss the corners by {error:.3g} pixels"
     except InputError:
         failure = "no camera sees the whole board in all poses"
@@ -81,6 +76,26 @@ def start_values(
             "board's corners, the pixel size and the order of corners"
         )
     return fit.numbers, fit.poses, good
+
+
+def first_numbers(problem: Problem, lengths: Sequence[float], grid: Array, principal: Array) -> Array:
+    """Return the numbers (17,) of a camera without tilt and distortion, from f, b and z and its lenses' places."""
+    numbers = np.zeros(len(NAMES))
+    numbers[:3] = lengths
+    shrunk = problem.pixel_size / (1 + numbers[2] / numbers[1])
+    numbers[3:5] = np.hypot(*grid[1:].T) * shrunk / [1, problem.row_ratio]
+    numbers[AT["mla_rotation"]] = np.rad2deg(np.arctan2(grid[1, 1], grid[1, 0]))
+    numbers[OFFSET] = (grid[0] - principal) * shrunk
+    numbers[PRINCIPAL] = principal
+    return numbers
+
+
+def thinned(problem: Problem, good: Array) -> Problem:
+    """Return a problem with some of each pose's good rows."""
+    observed = problem.corners
+    groups = [np.flatnonzero(good & (observed.pose == pose)) for pose in range(observed.poses)]
+    chosen = np.concatenate([group[:: max(1, len(group) // _THINNED)] for group in groups])
+    return replace(problem, corners=observed.keep(chosen))
 
 
 def board_images(

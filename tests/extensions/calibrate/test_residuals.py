@@ -24,7 +24,8 @@ def calibration():
     numbers = dict(zip(NAMES, numbers_of(cases.CAMERA).tolist(), strict=True))
     evaluation = Evaluation(residuals, np.unique(TABLE["frame"]), SEEN.pose, cases.POSES)
     exact = dict.fromkeys(numbers, 1.0), np.eye(len(numbers)), np.zeros((0, 2)), 1
-    return Calibration(cases.CAMERA, cases.INDEX, evaluation, numbers, *exact)
+    held_out = evaluation.pose_errors
+    return Calibration(cases.CAMERA, cases.INDEX, evaluation, numbers, *exact, held_out=held_out)
 
 
 @pytest.mark.parametrize(("by", "columns"), [("lens", 4), ("field", 2), ("depth", 2), ("pose", 1)])
@@ -65,6 +66,7 @@ def test_the_report_shows_lenses_and_residuals(calibration, tmp_path, coarse_fig
     write_calibration_report(tmp_path / "report.html", calibration, cases.BOARD, TABLE, None)
     text = (tmp_path / "report.html").read_text()
     assert "Error of the corners that each lens shows" in text and text.count("data:image/png") == 3
+    assert "held out" in text
     lenses = residual_map(calibration, cases.BOARD, TABLE, "lens")
     (shown,) = lens_errors(lenses, calibration.camera.crop_size).axes[0].collections
     assert len(shown.get_offsets()) == len(lenses.count)
