@@ -83,7 +83,7 @@ class Lattice(abc.ABC):
     rectangular: ClassVar[bool]
     """Whether cells are rectangles along the rows."""
 
-    unit_corners: ClassVar[tuple[tuple[float, float], ...]]
+    unit_corners: ClassVar[tuple[Pair, ...]]
     """Corners of a cell of pitch 1 from its centre, in the order of their angles."""
 
     @staticmethod
@@ -408,7 +408,7 @@ class Lattice(abc.ABC):
         position = position[inside]
         return index[np.lexsort((index[:, 0], index[:, 1], np.round(np.hypot(*position.T) / self.pitches[0], 6)))]
 
-    def lenses_within(self, low: tuple[float, float], high: tuple[float, float]) -> Array:
+    def lenses_within(self, low: Pair, high: Pair) -> Array:
         """Return the lenses whose centre lies in the rectangle from `low` to `high`.
 
         Parameters
@@ -470,7 +470,7 @@ def make_lattice(name: str, pitches: Pair, **numbers: Any) -> Lattice:
     return LATTICES[name](pitches, **numbers)
 
 
-def regular_corners(sides: int) -> tuple[tuple[float, float], ...]:
+def regular_corners(sides: int) -> tuple[Pair, ...]:
     """Return the corners of a regular polygon whose opposite sides are 1 apart, the first of them along +x."""
     radius = 1 / (2 * math.cos(math.pi / sides))
     angles = [2 * math.pi * (corner + 0.5) / sides for corner in range(sides)]

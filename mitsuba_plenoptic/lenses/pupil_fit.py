@@ -22,7 +22,7 @@ import numpy as np
 
 from ..errors import InputError, refuse_if
 from ..optics import guards, in_millimetres
-from ..runtime import Array, Doubles, Flags
+from ..runtime import Array, Doubles, Flags, Pair
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem
@@ -191,7 +191,7 @@ class PupilFit:
     error: float
 
 
-def covered(tracer: Tracer, radius: float, field: float, inverse_distance: tuple[float, float]) -> float:
+def covered(tracer: Tracer, radius: float, field: float, inverse_distance: Pair) -> float:
     """Return the largest field, up to `field`, from which light passes the lens at both inverse distances."""
     fields = np.linspace(0, field, ACCURACY.covered_fields)
     across = np.linspace(-ACCURACY.fitted_radius, ACCURACY.fitted_radius, 2 * ACCURACY.fitted_rays) * radius
@@ -209,7 +209,7 @@ def fit_pupil(
     pupils: Pupils,
     radius: float,
     field: float,
-    inverse_distance: tuple[float, float],
+    inverse_distance: Pair,
     wavelength: float,
     good: float = ACCURACY.path_error,
 ) -> PupilFit:
@@ -238,7 +238,7 @@ def fit_pupil(
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
-def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[Array, Array, Array]:
+def nodes(radius: float, field: float, inverse_distance: Pair) -> tuple[Array, Array, Array]:
     """Return fields, inverse distances and positions of rays to fit, at Chebyshev nodes that include both ends.
 
     Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
@@ -256,7 +256,7 @@ def nodes(radius: float, field: float, inverse_distance: tuple[float, float]) ->
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
-def _random(radius: float, field: float, inverse_distance: tuple[float, float]) -> tuple[Array, Array, Array]:
+def _random(radius: float, field: float, inverse_distance: Pair) -> tuple[Array, Array, Array]:
     """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(ACCURACY.checked_points)), ACCURACY.checking_rays)

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
-from ..runtime import Doubles, Flags, single_threaded_blas
+from ..runtime import Doubles, Flags, Pair, single_threaded_blas
 from .accuracy import ACCURACY
 from .common import LensNumbers, builds
 from .fitted_lens import FittedLens
@@ -72,7 +72,7 @@ def _is_open(lens: LensSystem, height: float, x: Doubles, y: Doubles) -> Flags:
     return np.asarray(lens.ray((x, y), (np.full_like(x, height), np.zeros_like(x)))[2])
 
 
-def _edge(lens: LensSystem, height: float, reach: float, middle: tuple[float, float]) -> Doubles:
+def _edge(lens: LensSystem, height: float, reach: float, middle: Pair) -> Doubles:
     """Return points of the pupil's edge around its middle, as seen from a position on the array's x axis."""
     angle = 2 * math.pi * np.arange(ACCURACY.edge_angles) / ACCURACY.edge_angles
     low = np.zeros(ACCURACY.edge_angles)
@@ -191,7 +191,7 @@ class RealLens(LensSystem):
             self._lights[x, y, g] = ExitPupil.of(self, (x, y, g))
         return self._lights[x, y, g]
 
-    def over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+    def over_field(self, field: float, inverse_distance: Pair) -> FittedLens:
         """Return the lens for waves, fitted for inverse distances (low, high) up to a field, or to the largest."""
         return _checked(self._over_field(field, inverse_distance))
 
@@ -204,7 +204,7 @@ class RealLens(LensSystem):
         field = np.minimum(field, ACCURACY.used_field * lens.fitted.aberration.scales.field)
         return np.column_stack([0 * depths, field / near, depths])
 
-    def _over_field(self, field: float, inverse_distance: tuple[float, float]) -> FittedLens:
+    def _over_field(self, field: float, inverse_distance: Pair) -> FittedLens:
         """Return a lens fitted for a field and inverse distances; ranges grow in steps, so that fits are reused."""
         least = ACCURACY.narrowest_field * self.corner / self.mla_distance
         steps = math.ceil(math.log(max(1, field / least)) / math.log(ACCURACY.field_step))

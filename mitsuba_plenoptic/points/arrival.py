@@ -52,7 +52,7 @@ class FieldGrids:
 
     pitch: float  # behind the MLA: an integer fraction of a pixel
     per_pixel: int
-    wide_origin: tuple[float, float]  # of the window that contains pupil, image and detector
+    wide_origin: Pair  # of the window that contains pupil, image and detector
     wide_pupil: int  # samples across it, at the pupil's pitch
     wide_mla: int  # samples across it, at the MLA's pitch
     offset: Shape  # of the detector's window in the wide window, in MLA samples
@@ -191,7 +191,7 @@ class SampledField:
     # :math:`\exp(i k d)` of the path from the main lens is omitted. The shape is (rows, columns).
     samples: Field
     # Camera-frame x and y of the first sample, in millimetres.
-    origin: tuple[float, float]
+    origin: Pair
     # Distance between samples in millimetres.
     pitch: float
 
@@ -201,7 +201,7 @@ class SampledField:
         return float(np.sum(np.abs(self.samples) ** 2, dtype=np.float64)) * self.pitch**2
 
 
-def interpolated(field: SampledField, origin: tuple[float, float], pitch: float, shape: Shape) -> Field:
+def interpolated(field: SampledField, origin: Pair, pitch: float, shape: Shape) -> Field:
     """Return a field interpolated by its band limit on a grid of another pitch, of either sign."""
     arrays = active_backend().arrays
     # Along y, then along x.

@@ -166,7 +166,7 @@ class PixelIntegrals:
         moved = (along_y.weights, along_x.at_edges(speed)) if axis == 0 else (along_y.at_edges(speed), along_x.weights)
         return PixelIntegrals(*self._axes, [moved])
 
-    def widened(self, middle: tuple[float, float], width: float) -> PixelIntegrals:
+    def widened(self, middle: Pair, width: float) -> PixelIntegrals:
         """Return the derivatives with respect to the width of the detector, which grows about its middle."""
         along_x, along_y = self._axes
         edges_x, edges_y = (
@@ -175,13 +175,13 @@ class PixelIntegrals:
         )
         return PixelIntegrals(*self._axes, [(along_y.weights, edges_x), (edges_y, along_x.weights)])
 
-    def shrunk(self, middle: tuple[float, float], scale: float) -> PixelIntegrals:
+    def shrunk(self, middle: Pair, scale: float) -> PixelIntegrals:
         """Return the derivatives with respect to `scale`, a factor on sample distances, at fixed sample values."""
         along_x, along_y = self._axes
         growth = along_y.weights, along_x.weights * np.float32(2 / scale)
         return PixelIntegrals(*self._axes, [*self.widened(middle, -scale)._terms, growth])
 
-    def turned(self, middle: tuple[float, float]) -> PixelIntegrals:
+    def turned(self, middle: Pair) -> PixelIntegrals:
         """Return the derivatives of the integrals by a clockwise rotation of the detector against the lattice."""
         moment_x, moment_y = (axis.moments(centre) for axis, centre in zip(self._axes, middle, strict=True))
         edges_x, edges_y = (axis.at_edges(np.full(axis.count + 1, math.pi / 180)) for axis in self._axes)

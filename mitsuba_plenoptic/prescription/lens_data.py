@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from ..errors import LONGEST, InputError, refuse_if, short_repr
-from ..runtime import PlainData, Shape
+from ..runtime import Pair, PlainData, Shape
 
 
 def vergence(focal_length: Any, distance: Any) -> Any:
@@ -116,7 +116,7 @@ class LensData(PlainData):
         """Name of the lens in messages."""
         return self.name or type(self).__name__.lower()
 
-    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+    def own_numbers(self, focal_length: float | None) -> Pair:
         """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         # Focal length and radius of a thin lens, in millimetres, where they are not given.
         return 80.0, 5.0
@@ -138,7 +138,7 @@ class LensData(PlainData):
         """Refuse an object distance that has no real image."""
         image_distance(camera.focal_length, distance)
 
-    def exit_pupil(self, focal_length: float) -> tuple[float, float]:
+    def exit_pupil(self, focal_length: float) -> Pair:
         """Return the exit pupil's distance from the rear principal plane, and its radius over the entrance pupil's.
 
         A thin lens is its own pupil. An objective's pupil is infinitely far, and the values are those of a thin lens.

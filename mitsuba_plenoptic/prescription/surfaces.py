@@ -28,7 +28,7 @@ from ..errors import (
     short_repr,
     warn,
 )
-from ..runtime import Named, Numbers, safe_sqrt
+from ..runtime import Named, Numbers, Pair, safe_sqrt
 from . import lenses
 from .glass import LINE_D, Glass
 from .lens_data import SINGLE, LensData, require_alone, vergence
@@ -232,13 +232,13 @@ class Prescription(LensData):
         """Paraxial quantities of the lens at the prescription's wavelength."""
         return paraxial(self)
 
-    def own_numbers(self, focal_length: float | None) -> tuple[float, float]:
+    def own_numbers(self, focal_length: float | None) -> Pair:
         """Return the focal length and the open entrance pupil's radius, in mm, scaled to a given focal length."""
         numbers = self.paraxial
         length = numbers.focal_length if focal_length is None else require_length("focal_length", focal_length)
         return length, numbers.entrance_radius * length / numbers.focal_length
 
-    def exit_pupil(self, focal_length: float) -> tuple[float, float]:
+    def exit_pupil(self, focal_length: float) -> Pair:
         """Return the exit pupil's distance before the rear principal plane, and the pupils' ratio of radii."""
         numbers = self.paraxial
         scale = focal_length / numbers.focal_length

@@ -38,7 +38,7 @@ class Conjugate:
     light: Any
     point: Triple
     wavelength: float
-    tilt: tuple[float, float] = (0.0, 0.0)
+    tilt: Pair = (0.0, 0.0)
 
     def path(self, pupil: Pair) -> Any:
         """Return the path in waves from the object plane to pupil points, less a tilt."""
@@ -61,7 +61,7 @@ class FieldZone:
     """
 
     light: Conjugate
-    bounds: tuple[tuple[float, float], tuple[float, float]] | None = None
+    bounds: tuple[Pair, Pair] | None = None
     is_cut: bool = False
 
     def part(self, shape: Sizes) -> tuple[slice, ...]:

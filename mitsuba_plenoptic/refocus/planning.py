@@ -42,7 +42,7 @@ from ..camera import PlenopticCamera
 from ..errors import refuse_if
 from ..fields import AxisStep, Directions, LensAxis, Step, bend
 from ..optics import guards, in_millimetres, rays
-from ..runtime import Array, Shape, check_memory, fft, work_limit
+from ..runtime import Array, Pair, Shape, check_memory, fft, work_limit
 
 Span = Shape
 Window = tuple[Span, Span]
@@ -301,7 +301,7 @@ def _beyond_paraxial(
     return AxisStep(on_array.start, pitch, on_array.wanted, padded, new_padded, start, samples)
 
 
-def _cells(camera: PlenopticCamera, ends: Array, axis: int) -> tuple[float, float]:
+def _cells(camera: PlenopticCamera, ends: Array, axis: int) -> Pair:
     """Return the range of the cells that contain all points between two coordinates on the MLA."""
     lattice = camera.lattice
     if lattice.axis_aligned:
@@ -313,9 +313,7 @@ def _cells(camera: PlenopticCamera, ends: Array, axis: int) -> tuple[float, floa
     return float(ends[0] - 2 * reach), float(ends[1] + 2 * reach)
 
 
-def object_extent(
-    camera: PlenopticCamera, distance: float, axis: int, lit: Span
-) -> tuple[tuple[float, float], tuple[float, float]]:
+def object_extent(camera: PlenopticCamera, distance: float, axis: int, lit: Span) -> tuple[Pair, Pair]:
     """Return two ranges of slopes from the main lens's centre: of light of lit pixels, and of light in bins.
 
     Both are equal if all light goes to bins.

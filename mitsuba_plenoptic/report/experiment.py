@@ -254,8 +254,8 @@ def run_experiment(
     require_support(camera, Use.RAY_REFOCUSING)
     if not is_supported(camera, Use.FIELDS):
         _log.info("coherent, partial: they are left out, as no wave goes back behind %s", camera.lens_data.label)
-        kept = [method for method in settings.methods if method.options["method"] not in ("coherent", "partial")]
-        settings = replace(settings, methods=tuple(kept))
+        of_rays = [method for method in settings.methods if method.options["method"] not in ("coherent", "partial")]
+        settings = replace(settings, methods=tuple(of_rays))
 
     # Rays first, then waves, whose first results are shown before all that takes longer.
     methods = sorted(settings.methods, key=lambda method: ("ray_of_ray", "partial", method.name).index(method.name))

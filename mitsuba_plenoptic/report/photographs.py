@@ -158,10 +158,10 @@ def objective_image(
         middle = dr.repeat(dr.arange(mi.UInt32, passed.size), count)
         row, cell = middle // columns, done + dr.tile(dr.arange(mi.UInt32, count), passed.size)
         random = random_numbers(done, dr.width(middle))
-        place = random.next_2d()
+        jitter = random.next_2d()
         inside = (mi.Point2f(cell % cells, cell // cells % cells) + random.next_2d()) / cells
-        x = (0.5 * columns - mi.Float(middle - row * columns) - place.x) * pixel
-        y = (0.5 * rows - mi.Float(row) - place.y) * pixel
+        x = (0.5 * columns - mi.Float(middle - row * columns) - jitter.x) * pixel
+        y = (0.5 * rows - mi.Float(row) - jitter.y) * pixel
         stop = mi.warp.square_to_uniform_disk_concentric(inside) * (aperture * camera.aperture_radius)
         point, slope, is_open = telecentric_rays(camera, (x, y, distance), (stop.x, stop.y))
         # Of the channels of other variants one stands for all.

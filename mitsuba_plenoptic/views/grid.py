@@ -17,7 +17,7 @@ from ..array import Displacement, Lattice
 from ..camera import PlenopticCamera, Use, require_support
 from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require_number, require_pair, require_warp
 from ..optics import rays
-from ..runtime import Array, Doubles, Integers, Numbers, Shape, Sizes, require_memory, turn
+from ..runtime import Array, Doubles, Integers, Numbers, Pair, Shape, Sizes, require_memory, turn
 
 _ASIDE = 0.05
 """Displacement of lenses over the width of a bin up to which they are not interpolated."""
@@ -50,13 +50,13 @@ class LensGrid:
         Column and row coordinate from which positions count in the warp: the camera's axis.
     """
 
-    spacing: tuple[float, float]
-    offset: tuple[float, float]
+    spacing: Pair
+    offset: Pair
     shape: Shape
     rotation: float = 0.0
     shifted_rows: int | None = None
     warp: Numbers = ()
-    middle: tuple[float, float] = (0.0, 0.0)
+    middle: Pair = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         place = partial(require_number, minimum=-1e9, maximum=1e9)

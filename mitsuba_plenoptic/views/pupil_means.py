@@ -18,7 +18,7 @@ import xarray as xr
 from ..camera import PlenopticCamera
 from ..detector import DetectorOperator
 from ..optics import in_millimetres
-from ..runtime import Doubles, Numbers
+from ..runtime import Doubles, Numbers, Pair
 
 # Samples across a pixel, and the most across the grid.
 _SAMPLES = 4
@@ -33,7 +33,7 @@ _ALIKE = 1.6
 def light_of_views(
     camera: PlenopticCamera,
     wavelength: float | None,
-    spreads: tuple[float, float],
+    spreads: Pair,
     texture: float,
     slope: float,
     u: Numbers,
@@ -77,9 +77,7 @@ def texture_of(lf: xr.DataArray) -> float:
 
 
 @functools.lru_cache(maxsize=4)
-def _pupil(
-    camera: PlenopticCamera, wavelength: float | None, spreads: tuple[float, float]
-) -> tuple[int, Any, Doubles, Doubles]:
+def _pupil(camera: PlenopticCamera, wavelength: float | None, spreads: Pair) -> tuple[int, Any, Doubles, Doubles]:
     """Return samples a pixel; spectra of the pupil, and of it times both coordinates; the light of one of its points.
 
     Last are places (lenses, 2) of a lens and those around it, in pitches. The light's middle is that of its array.
@@ -101,9 +99,7 @@ def _pupil(
     return samples, spectra, scipy.fft.fftshift(spread), around
 
 
-def _transfer(
-    camera: PlenopticCamera, wavelength: float | None, spreads: tuple[float, float], count: int, samples: int
-) -> Doubles:
+def _transfer(camera: PlenopticCamera, wavelength: float | None, spreads: Pair, count: int, samples: int) -> Doubles:
     """Return the Fourier transform, as of `rfft2`, of the light of one pupil point over the samples of a lens."""
     fx, fy = scipy.fft.rfftfreq(count, 1 / samples), scipy.fft.fftfreq(count, 1 / samples)[:, None]
     transfer = DetectorOperator.of(camera).transfer(fx, fy)

@@ -25,7 +25,7 @@ from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..optics import Spectrum, in_millimetres, interpolated
 from ..rays import even_words
-from ..runtime import Doubles, drjit_array
+from ..runtime import Doubles, Pair, drjit_array
 from .accuracy import USUAL
 from .scheme import diffraction_of
 
@@ -58,7 +58,7 @@ class WavelengthSampler:
         self.responses = responses(self.edges)
         self._edges = drjit_array(mi.Float, self.edges)
 
-    def draw(self, chance: Any, span: tuple[float, float]) -> RayWavelengths:
+    def draw(self, chance: Any, span: Pair) -> RayWavelengths:
         """Draw the wavelengths of the active variant's rays, from a range of the strata, by random numbers."""
         count = dr.size_v(mi.UnpolarizedSpectrum)
         low, high = (dr.opaque(mi.Float, end * _STRATA) for end in span)
@@ -121,7 +121,7 @@ def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
     return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 
 
-def span(nodes: list[Node]) -> tuple[float, float]:
+def span(nodes: list[Node]) -> Pair:
     """Return the range of strata, within 0 to 1, with wavelengths that contribute to the nodes."""
     lit = np.flatnonzero(np.any([node.weights.any(0) for node in nodes], axis=0))
     return max(int(lit[0]) - 1, 0) / _STRATA, min(int(lit[-1]) + 1, _STRATA) / _STRATA

@@ -8,7 +8,7 @@ import numpy as np
 from ...array import WARP_POWERS, Displacement
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array, exponents, monomials
+from ...runtime import Array, Pair, exponents, monomials
 from ...views import LensGrid
 
 _NOISE = 0.2
@@ -33,9 +33,9 @@ class ArrayFit:
         Index of the lens nearest to the axis, which is the camera's lens (0, 0).
     """
 
-    pitches: tuple[float, float]
+    pitches: Pair
     rotation: float
-    offset: tuple[float, float]
+    offset: Pair
     warp: Array
     nearest: Array
 

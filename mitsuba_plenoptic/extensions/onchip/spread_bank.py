@@ -16,7 +16,7 @@ from ...errors import refuse_if, require_choice, require_count, require_number, 
 from ...fields import OpticalSystem
 from ...lenses import main_lens
 from ...points import footprint, point_spread_function
-from ...runtime import POINTS, Doubles, as_array
+from ...runtime import POINTS, Doubles, Pair, as_array
 from ..inverse.point_rays import PointRays
 from .halves import photodiodes, require_layout
 from .photodiode_response import ACROSS, require_pixel_pairs
@@ -113,7 +113,7 @@ def psf_bank(
     return xr.DataArray(bank, dims=("depth", "field", "v", "u", "t", "s"), coords=coordinates, name="point spread")
 
 
-def _points(camera: PlenopticCamera, chief: tuple[float, float], distances: Sequence[float]) -> Doubles:
+def _points(camera: PlenopticCamera, chief: Pair, distances: Sequence[float]) -> Doubles:
     """Return the points (n, 3) at given distances whose chief rays meet the array at one position."""
     start, slope, _ = main_lens(camera).ray((0.0, 0.0), chief)
     # 1e12: Millimetres, as good as infinity.
@@ -133,9 +133,7 @@ def _reach(camera: PlenopticCamera, distances: Sequence[float], positions: Doubl
     return farthest
 
 
-def _around(
-    camera: PlenopticCamera, position: Doubles, count: int
-) -> tuple[PlenopticCamera, Doubles, tuple[float, float]]:
+def _around(camera: PlenopticCamera, position: Doubles, count: int) -> tuple[PlenopticCamera, Doubles, Pair]:
     """Return a crop of the camera around the lens at a position, the middle of its pixels, and the lens's centre.
 
     All lenses of the crop that are aligned to chief rays are shifted alike.

@@ -12,7 +12,7 @@ from ...optics import rays
 from ...prescription import lens_data
 from ...rays import follow_back
 from ...report import plots
-from ...runtime import Array
+from ...runtime import Array, Pair
 
 _LIGHT = "#d08700"
 _RAYS = 7
@@ -22,7 +22,7 @@ _BEHIND = 0.08
 """Distance between array and detector as drawn, over that between main lens and array; it is too short to be seen."""
 
 
-def light_path(camera: PlenopticCamera, point: tuple[float, float], pupil: Array) -> Array:
+def light_path(camera: PlenopticCamera, point: Pair, pupil: Array) -> Array:
     """Return rays from an object point (X, g) through points of the pupil to the array.
 
     Returns
@@ -129,7 +129,7 @@ def _waves(axes: Axes, camera: PlenopticCamera, distance: float) -> None:
         axes.text((first + second) / 2, 0.1, f"angular spectrum,\n{text}", ha="center", size=7.5, color=_LIGHT)
 
 
-def _axis(axes: Axes, along: tuple[float, float], across: float) -> None:
+def _axis(axes: Axes, along: Pair, across: float) -> None:
     """Draw the optical axis of a setup, within limits along it and across."""
     plots.bare(axes).set(xlim=along, ylim=(-across, across))
     axes.axhline(0, color=plots.FAINT, linewidth=0.5, linestyle="dashdot")

@@ -19,7 +19,7 @@ from ...camera import PlenopticCamera, camera_and_record
 from ...detector import DetectorOperator
 from ...errors import naming, refuse_if, refusing, require_choice, require_number
 from ...io import Capture
-from ...runtime import Floats, Numbers, read_text
+from ...runtime import Floats, Numbers, Pair, read_text
 from ...views import lens_numbers
 from ..calibrate.white_frames import sensor_pictures
 
@@ -116,7 +116,7 @@ def _shapes(text: str, camera: PlenopticCamera) -> dict[str, Shape]:
     return dict(sorted(shapes.items(), key=lambda item: item[1].distance))
 
 
-def moved_by(recording: Recording) -> tuple[float, float]:
+def moved_by(recording: Recording) -> Pair:
     """Return the pixels along x and y by which the light field has moved since the white picture.
 
     White is dimmed to the light field's brightness, lens by lens; borders of micro-images are then correlated.
@@ -157,7 +157,7 @@ def stray_width(recording: Recording) -> float | None:
     return _WIDTHS[int(np.argmin(misfits))] * recording.camera.pixel_size
 
 
-def aligned(recording: Recording, moved: tuple[float, float], width: float | None) -> Recording:
+def aligned(recording: Recording, moved: Pair, width: float | None) -> Recording:
     """Return the recording with camera and white picture where the light field is, and with stray light of a width."""
     camera = recording.camera
     step = camera.pixel_size / camera.image_growth

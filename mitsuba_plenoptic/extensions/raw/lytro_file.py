@@ -29,7 +29,7 @@ from ... import choices
 from ...camera import PlenopticCamera
 from ...errors import InputError, naming, refuse_if, require_choice, require_count, require_number, short_repr
 from ...io import RECORDED, Capture, recording_of
-from ...runtime import Named, read_text, require_memory, require_size, turn
+from ...runtime import Named, Pair, read_text, require_memory, require_size, turn
 
 CONTAINERS = (".lfp", ".lfr")
 
@@ -66,7 +66,7 @@ class _Picture:
         return "image.rawDetails" if _within(self.metadata, "image", "rawDetails") else "image"
 
     @property
-    def steps(self) -> tuple[float, float]:
+    def steps(self) -> Pair:
         """Positions of the zoom and focus motors, in steps."""
         return self.number("devices.lens.zoomStep"), self.number("devices.lens.focusStep")
 
@@ -124,7 +124,7 @@ def nearest_white(folder: str | Path, capture: Capture) -> Path:
         zoom, focus = _Picture(recording_of(capture), b"").steps
     folder = Path(folder)
     refuse_if(not folder.is_dir(), f"{folder}: there is no such folder")
-    pictures: dict[tuple[float, float], list[Path]] = {}
+    pictures: dict[Pair, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in choices.LYTRO_SUFFIXES:
             picture = _read(path)
