@@ -52,13 +52,13 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 75_972,
+    "lines": 75_974,
     "lines of the core": 50_420,
     "tokens": 544_769,
     "tokens of the core": 351_700,
     "functions": 4_040,
     "percentage of functions of at most three statements": 47.6,
-    "checks and raises": 1_761,
+    "checks and raises": 1_762,
     "definitions of checks": 115,
     "names of the core that extensions import": 364,
     "modules of the core that extensions import": 28,

@@ -230,7 +230,7 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
     pitch, even = lenses.pitch, lenses.picture.even - 0.5
     steps = _steps(corner, place)
     # Of windows in pitches.
-    reach = (0.42 * np.hypot(*steps.T).min() / pitch).clip(1.5, 6.0)
+    reach = (0.45 * np.hypot(*steps.T).min() / pitch).clip(2.3, 6.0)
     angles = np.tile(np.arctan2(*steps.T[::-1]), (len(place), 1))
     middle = lenses.view(_MIDDLE[0])[1]
     arms = np.indices((41, 41)).reshape(2, -1).T - 20
@@ -249,10 +249,11 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
             shown_at = (lenses.places[near] - disparity[:, None, None] * off[near]) / pitch
             apart = np.hypot(*(shown_at - start[:, None] / pitch).transpose(2, 0, 1))
             w = weight[near] * (reach + 0.5 - apart).clip(0, 1)
-            at, error, contrast = located(shown_at, value[near], w, start / pitch, angles)
-            good = np.flatnonzero((error < 0.3) & (contrast > 0.3 * np.median(contrast)))
+            at, error, _ = located(shown_at, value[near], w, start / pitch, angles)
+            good = np.flatnonzero(error < 0.3)
             found.append(np.column_stack([good, np.tile(arm, (len(good), 1)), at[good] * pitch]))
         table = np.concatenate(found)
+        refuse_if(not len(table), f"{lenses.picture.name}: a board is seen in it, but none of its corners sharply")
         seen, central, good = central_view(table[:, 0].astype(int), table[:, 1:3], table[:, 3:])
         table = table[good]
         disparity[:] = np.median(central[:, 2])
