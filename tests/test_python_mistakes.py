@@ -213,9 +213,9 @@ WRITERS = {
     "lf.nc": lambda path: save_light_field(path, LIGHT_FIELD),
     "lf.mat": lambda path: save_light_field(path, LIGHT_FIELD),
     "lf.png": lambda path: write_mosaic(path, LIGHT_FIELD),
-    "c.csv": lambda path: mp.calibration.write_corners(path, dict.fromkeys(CORNERS, np.arange(3000))),
+    "c.csv": lambda path: mp.calibration.write_corners(path, mp.calibration.Table("c", CORNERS)),
 }
-CORNERS = ("k", "l", "u", "v", "cluster", "frame")
+CORNERS = dict.fromkeys(("k", "l", "u", "v", "cluster", "frame"), np.arange(3000))
 NEEDS = {"lf.mat": "raw", "c.csv": "calibrate"}
 NAMES = [
     pytest.param(name, marks=pytest.mark.needs_extension(NEEDS[name])) if name in NEEDS else name for name in WRITERS

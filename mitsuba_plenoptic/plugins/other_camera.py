@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from ..camera import PlenopticCamera, require_camera
 from ..errors import refuse_if, suggest_keywords, warn
-from ..runtime import Facts, one_at_a_time
+from ..runtime import one_at_a_time
 from ..scene import as_scene, loading, numbered_sensor, require_active, warn_of_metres, with_objects
 
 
 @suggest_keywords
 @one_at_a_time
 def with_camera(
-    scene: mi.Scene | str | Path | Facts, camera: PlenopticCamera | str, sensor: int | None = None
+    scene: mi.Scene | str | Path | Mapping[str, Any], camera: PlenopticCamera | str, sensor: int | None = None
 ) -> mi.Scene:
     """Return a scene of the same objects with a plenoptic camera in the place of a sensor.
 

@@ -28,7 +28,7 @@ from ..errors import (
 )
 from ..extension import missing
 from ..io import read_parts
-from ..runtime import Facts, one_at_a_time, require_file, require_size, set_variant
+from ..runtime import one_at_a_time, require_file, require_size, set_variant
 from ..scene_files import scene_path
 from .radiance import require_seen, warn_of_metres
 
@@ -147,7 +147,7 @@ def as_scene(scene: Any) -> Any:
 @suggest_keywords
 @one_at_a_time
 def load_scene(
-    scene: str | Path | Facts,
+    scene: str | Path | Mapping[str, Any],
     *,
     variant: str | None = None,
     parameters: Mapping[str, str] | None = None,
@@ -254,7 +254,7 @@ def load_scene(
     return loaded
 
 
-def _keys_of_none(entries: Facts) -> Iterator[str]:
+def _keys_of_none(entries: Mapping[str, Any]) -> Iterator[str]:
     """Yield the keys of values that are None, on which Mitsuba's loader ends the process."""
     for key, value in entries.items():
         if value is None:
