@@ -109,7 +109,7 @@ known_screen = partial(known_record, PhaseScreen, "phase_screen", form="a PhaseS
 
 @suggest_keywords
 def frozen_flow(
-    waves: Any, *, step: float, width: float, wind: tuple[float, float], interval: float, frames: int
+    waves: Any, *, step: float, width: float, wind: Pair, interval: float, frames: int
 ) -> Iterator[PhaseScreen]:
     """Yield one phase screen a frame, cut from a larger screen that the wind moves, unchanged, across the pupil.
 

@@ -39,7 +39,7 @@ class Element:
         self._lit = np.ones(step.y.count, bool) if along_y is None else active_backend().to_host(along_y) != 0
 
     @classmethod
-    def separated(cls, step: Step, function: Callable[[Any, Any], Any], point: tuple[float, float]) -> Element:
+    def separated(cls, step: Step, function: Callable[[Any, Any], Any], point: Pair) -> Element:
         """Return a product of a function of x and one of y, from its values on two lines through a point.
 
         Its modulus is 1 at that point.

@@ -100,7 +100,7 @@ class LensSystem:
         return self.mla_distance + self.scale * self.numbers.rear_principal
 
     @property
-    def front_bounds(self) -> tuple[float, tuple[float, float]]:
+    def front_bounds(self) -> tuple[float, Pair]:
         """Semi-aperture of the first surface, and the range of z that the surface occupies, in mm."""
         surface = self.prescription.surfaces[0]
         radius = surface.semi_aperture

@@ -39,10 +39,8 @@ Shape = tuple[int, int]
 """Numbers of rows and columns, or of columns and rows."""
 
 Sizes = tuple[int, ...]
-"""Shape of an array: numbers of samples along its axes."""
-
 Numbers = tuple[float, ...]
-"""Any number of coefficients, lengths or wavelengths."""
+"""Shape of an array, and any number of coefficients, lengths or wavelengths."""
 
 Named = dict[str, Any]
 Facts = Mapping[str, Any]

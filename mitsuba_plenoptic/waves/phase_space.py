@@ -73,7 +73,7 @@ class TableNode(NamedTuple):
     """The window of the table at one node of the pupil's radius, in the lattice frame."""
 
     # Side lengths, which are whole multiples of the lattice periods.
-    sides: tuple[float, float]
+    sides: Pair
     # Samples along the sides.
     counts: Shape
     # Number of intervals between nodes over a quarter turn.

@@ -52,7 +52,7 @@ class LitPart:
 
     lattice: Lattice
     # Centre of the lens, and radius of the stop's image, in millimetres.
-    centre: tuple[float, float]
+    centre: Pair
     stop_radius: float
 
     def power(self, x: Any, y: Any) -> Any:

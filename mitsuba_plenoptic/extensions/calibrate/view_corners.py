@@ -96,9 +96,9 @@ def detect_view_corners(
         max(means) > 1.3 * min(means),
         f"{name}: its micro-images lie beside those of the white picture, which is of another camera, zoom or focus",
     )
-    corner, place = find_grid(lenses, board)
-    of, arm, place = _in_all_views(lenses, corner, place)
-    columns = *place.T, *(place + arm).T, corner[of] @ [1, board.columns], np.full(len(of), frame)
+    corner, position = find_grid(lenses, board)
+    of, arm, position = _in_all_views(lenses, corner, position)
+    columns = *position.T, *(position + arm).T, corner[of] @ [1, board.columns], np.full(len(of), frame)
     return Table(name, dict(zip(VIEW_COLUMNS, columns, strict=True)))
 
 
@@ -116,8 +116,8 @@ def find_grid(lenses: Lenses, board: Board) -> tuple[Array, Array]:
     grids = [_grown(*saddles) for saddles in found]
     best = int(np.argmax([_fullness(grid) for grid in grids]))
     corner = np.array(list(grids[best])).reshape(-1, 2)
-    place = found[best][0][list(grids[best].values())] * lenses.pitch
-    return _counted(corner, place, board, lenses.picture.name)
+    position = found[best][0][list(grids[best].values())] * lenses.pitch
+    return _counted(corner, position, board, lenses.picture.name)
 
 
 def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[Array, Array]:
@@ -134,32 +134,32 @@ def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[
     order = np.argsort(-strong)
     order = order[strong[order] > 0.15 / (expected // 2) * strong[order[: expected // 2]].sum()]
     y, x = y[order], x[order]
-    place = np.column_stack([x, y])
+    position = np.column_stack([x, y])
     angle = np.arctan2(2 * xy, xx - yy)[y, x] / 2
     # Light on either side, along the rising slopes and the falling ones. The corner of a single square has three alike.
     around = angle + np.pi / 2 * np.arange(4)[:, None]
-    sides = place + (1.5 + 1.5 * width) * np.stack([np.cos(around), np.sin(around)], axis=-1)
+    sides = position + (1.5 + 1.5 * width) * np.stack([np.cos(around), np.sin(around)], axis=-1)
     light = map_coordinates(smooth, sides[:, :, ::-1].transpose(2, 0, 1), order=1, mode="nearest")
     good = np.abs(light[:2] - light[2:]).max(0) < 0.4 * (light[0] + light[2] - light[1] - light[3]) / 2
-    return place[good], angle[good]
+    return position[good], angle[good]
 
 
-def _grown(place: Array, angle: Array) -> dict[tuple[int, int], int]:
+def _grown(position: Array, angle: Array) -> dict[tuple[int, int], int]:
     """Return the largest grid of saddle points: their numbers by column and row.
 
     From one corner to the next, dark and light change: rising slopes are at right angles.
     """
     best: dict[tuple[int, int], int] = {}
-    if len(place) < 9:
+    if len(position) < 9:
         return best
-    tree = cKDTree(place)
-    near = tree.query(place, k=9)[1][:, 1:]
-    tried = np.zeros(len(place), bool)
-    for seed in range(len(place)):
+    tree = cKDTree(position)
+    near = tree.query(position, k=9)[1][:, 1:]
+    tried = np.zeros(len(position), bool)
+    for seed in range(len(position)):
         around = near[seed][np.cos(2 * (angle[seed] - angle[near[seed]])) < -0.3]
         if tried[seed] or not len(around):
             continue
-        steps = place[around] - place[seed]
+        steps = position[around] - position[seed]
         aside = np.abs(steps @ [-steps[0, 1], steps[0, 0]])
         other = np.flatnonzero(aside > 0.5 * np.hypot(*steps[0]) * np.hypot(*steps.T))
         if not len(other):
@@ -172,13 +172,13 @@ def _grown(place: Array, angle: Array) -> dict[tuple[int, int], int]:
             for axis, sign in ((0, 1), (0, -1), (1, 1), (1, -1)):
                 there = (at[0] + sign * (1 - axis), at[1] + sign * axis)
                 step = sign * axes[axis]
-                distance, next_one = tree.query(place[here] + step)
+                distance, next_one = tree.query(position[here] + step)
                 crossed = np.cos(2 * (angle[here] - angle[next_one])) < -0.3
                 if there in grid or next_one in grid.values() or distance > 0.3 * np.hypot(*step) or not crossed:
                     continue
                 grid[there] = next_one
                 turned = axes.copy()
-                turned[axis] = sign * (place[next_one] - place[here])
+                turned[axis] = sign * (position[next_one] - position[here])
                 queue.append((there, turned))
         tried[list(grid.values())] = True
         if _fullness(grid) > _fullness(best):
@@ -191,7 +191,7 @@ def _fullness(grid: dict[tuple[int, int], int]) -> float:
     return len(grid) ** 2 / np.prod(np.ptp(list(grid), axis=0) + 1) if grid else 0.0
 
 
-def _counted(corner: Array, place: Array, board: Board, name: str) -> tuple[Array, Array]:
+def _counted(corner: Array, position: Array, board: Board, name: str) -> tuple[Array, Array]:
     """Return corners counted from the board's first, and their places, without lines of which little is seen."""
     size = np.array([board.columns, board.rows])
     stated = f"{name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it"
@@ -207,35 +207,35 @@ def _counted(corner: Array, place: Array, board: Board, name: str) -> tuple[Arra
                 least.sum() > 0.5 * extent.min(),
                 f"{stated}, but one of {extent.max()}x{extent.min()}: --board counts inner corners",
             )
-            corner, place = corner[~least], place[~least]
+            corner, position = corner[~least], position[~least]
     refuse_if(
         len(corner) < max(9, 0.2 * size.prod()) or np.ptp(corner, axis=0).min() < 2,
         f"{stated}; the largest grid of corners in it has {len(corner)}",
     )
-    along, across = _steps(corner, place)
+    along, across = _steps(corner, position)
     if not fits[0] or (fits[1] and abs(across[0]) > abs(along[0])):
         corner, along, across = corner[:, ::-1], across, along
     right = np.copysign(1, along[0])
     corner = corner * [right, np.copysign(1, right * np.linalg.det([along, across]))]
-    return (corner - corner.min(0)).astype(int), place
+    return (corner - corner.min(0)).astype(int), position
 
 
-def _steps(corner: Array, place: Array) -> Array:
+def _steps(corner: Array, position: Array) -> Array:
     """Return the mean steps along a board's rows and columns."""
-    return np.linalg.lstsq(np.column_stack([np.ones(len(corner)), corner]), place)[0][1:]
+    return np.linalg.lstsq(np.column_stack([np.ones(len(corner)), corner]), position)[0][1:]
 
 
-def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, Array, Array]:
-    """Return corners located in views: index of the corner, the view's pixel beside lenses, and place, (n, 2)."""
+def _in_all_views(lenses: Lenses, corner: Array, position: Array) -> tuple[Array, Array, Array]:
+    """Return corners located in views: index of the corner, the view's pixel beside lenses, and position, (n, 2)."""
     pitch, even = lenses.pitch, lenses.picture.even - 0.5
-    steps = _steps(corner, place)
+    steps = _steps(corner, position)
     # Of windows in pitches.
     reach = (0.45 * np.hypot(*steps.T).min() / pitch).clip(2.3, 6.0)
-    angles = np.tile(np.arctan2(*steps.T[::-1]), (len(place), 1))
+    angles = np.tile(np.arctan2(*steps.T[::-1]), (len(position), 1))
     middle = lenses.view(_MIDDLE[0])[1]
     arms = np.indices((41, 41)).reshape(2, -1).T - 20
     radius = np.hypot(*arms.T)
-    disparity = np.zeros(len(place))
+    disparity = np.zeros(len(position))
     table = np.zeros((0, 5))
     # From view to view outwards; then all, as the disparity is known.
     for inner, outer in ((-1.0, 0.5), (0.5, 1.2), (1.2, 2.3), (-1.0, even)):
@@ -244,7 +244,7 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
             value, weight, off = lenses.view(arm)
             # Of the part of the pupil that a pixel sees, the main lens's rim cuts off little.
             weight = weight * (weight > 0.85 * middle)
-            start = place + disparity[:, None] * arm
+            start = position + disparity[:, None] * arm
             near = lenses.tree.query(start, k=int(4 * (reach + 0.5) ** 2))[1]
             shown_at = (lenses.places[near] - disparity[:, None, None] * off[near]) / pitch
             apart = np.hypot(*(shown_at - start[:, None] / pitch).transpose(2, 0, 1))
@@ -257,5 +257,5 @@ def _in_all_views(lenses: Lenses, corner: Array, place: Array) -> tuple[Array, A
         seen, central, good = central_view(table[:, 0].astype(int), table[:, 1:3], table[:, 3:])
         table = table[good]
         disparity[:] = np.median(central[:, 2])
-        place[seen], disparity[seen] = central[:, :2], central[:, 2]
+        position[seen], disparity[seen] = central[:, :2], central[:, 2]
     return table[:, 0].astype(int), table[:, 1:3], table[:, 3:]

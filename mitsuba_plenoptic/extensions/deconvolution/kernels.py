@@ -132,9 +132,9 @@ def make_kernel(cells: BinCells, cell: Integers, spreads: Iterable[list[Part]], 
             add(Part(box, sums[None]), around, whole)
             x, y = arrays.asarray(corners.T)
             entries.append((spread_index, reached.index - cell, cells.windows(whole[0])[y, x]))
-    every = np.concatenate([index for _, index, _ in entries])
-    low = every.min(0)
-    size = every.max(0) - low + 1
+    indices = np.concatenate([index for _, index, _ in entries])
+    low = indices.min(0)
+    size = indices.max(0) - low + 1
     dense = arrays.zeros((int(size.prod()), spread_index + 1, *entries[0][2].shape[1:]), np.float32)
     for spread_index, index, values in entries:
         dense[arrays.asarray((index - low) @ [1, size[0]]), spread_index] += values

@@ -38,7 +38,7 @@ _FADED = 0.3
 class PupilGrid:
     """The square part of a wide grid, `count` x `count` samples, that contains the pupil."""
 
-    def __init__(self, lens: ThinLens, origin: tuple[float, float], pitch: float):
+    def __init__(self, lens: ThinLens, origin: Pair, pitch: float):
         self.pitch = pitch
         self.count = 2 * math.ceil(lens.pupil.radius / pitch) + 3
         middle = [round(-start / pitch) for start in origin]
