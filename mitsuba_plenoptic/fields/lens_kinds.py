@@ -20,7 +20,7 @@ from ..array import MOST_DEVIATIONS
 from ..camera import PlenopticCamera
 from ..errors import InputError
 from ..optics import in_millimetres
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 from .accuracy import ACCURACY
 
 
@@ -76,7 +76,7 @@ class LensKinds:
         return (1 - 2 * second * square + fourth * square * square) ** -0.5
 
     @cached_property
-    def _moments(self) -> tuple[float, float]:
+    def _moments(self) -> Pair:
         """Means, over a lens's aperture, of the second and fourth power of the distance from its centre."""
         x, y = self.camera.lattice.aperture_grid(ACCURACY.moment_samples)
         square = x * x + y * y

@@ -84,9 +84,11 @@ def _capture_text(experiment: Experiment, measured: Facts) -> str:
     camera = experiment.camera
     captures = measured["captures"]
     spot = design.spot_radius(camera, experiment.settings.wavelength) / camera.pixel_size
-    disc = "disc is the aperture of the main lens as one microlens images it"
-    if camera.objective is not None:
-        disc = "micro-image is the object within the field stop, seen from the direction of its lens"
+    disc = (
+        "micro-image is the object within the field stop, seen from the direction of its lens"
+        if camera.objective
+        else "disc is the aperture of the main lens as one microlens images it"
+    )
     text = (
         f"Every {disc}. Rays give it sharp edges, waves blur it by diffraction at the microlens: {spot:.2g} pixels "
         "from the middle of a spot to its first zero. The two "

@@ -250,12 +250,14 @@ def run_experiment(
             refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
             # First without the array, which says of some main lenses that they need one.
             twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
-
     require_support(camera, Use.RAY_REFOCUSING)
     if not is_supported(camera, Use.FIELDS):
-        _log.info("coherent, partial: they are left out, as no wave goes back behind %s", camera.lens_data.label)
-        of_rays = [method for method in settings.methods if method.options["method"] not in ("coherent", "partial")]
-        settings = replace(settings, methods=tuple(of_rays))
+        possible = tuple(
+            method for method in settings.methods if method.options["method"] not in ("coherent", "partial")
+        )
+        if possible != settings.methods:
+            _log.info("coherent, partial: they are left out, as no wave goes back behind %s", camera.lens_data.label)
+        settings = replace(settings, methods=possible)
 
     # Rays first, then waves, whose first results are shown before all that takes longer.
     methods = sorted(settings.methods, key=lambda method: ("ray_of_ray", "partial", method.name).index(method.name))

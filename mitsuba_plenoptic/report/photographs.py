@@ -40,7 +40,7 @@ def thin_lens_image(
         What the film records.
     """
     columns, rows = (bins * oversample for bins in camera.bin_count)
-    if camera.objective is not None:
+    if camera.objective:
         return objective_image(scene, camera, distance, spp, (columns, rows), camera.bin_size(distance) / oversample)
     # Samples spread evenly over pixel and aperture leave a fraction of the noise of independent ones.
     spread = {"sampler": {"type": "multijitter"}} if math.isqrt(spp) ** 2 == spp else {}
@@ -63,7 +63,7 @@ def pinhole_image(
     """Return the sharp image of the camera's field from the centre of its main lens or stop, `columns` pixels wide."""
     across, down = camera.bin_count
     rows = round(columns * down / across)
-    if camera.objective is not None:
+    if camera.objective:
         pixel = camera.bin_size(0.0) * across / columns
         return objective_image(scene, camera, 0.0, spp, (columns, rows), pixel, aperture=0.0)
     sensor = photographic_sensor(scene, camera, (columns, rows), pixel_format, type="perspective")
@@ -151,8 +151,7 @@ def objective_image(
     # Samples of a pixel side by side, in passes of bounded size.
     together = max(1, 2**22 // passed.size)
     # Samples in cells of the stop leave a fraction of the noise of independent ones.
-    across = math.isqrt(spp)
-    cells = across if across**2 == spp else 1
+    cells = root if (root := math.isqrt(spp)) ** 2 == spp else 1
     for done in range(0, spp, together):
         count = min(together, spp - done)
         middle = dr.repeat(dr.arange(mi.UInt32, passed.size), count)
@@ -164,8 +163,7 @@ def objective_image(
         y = (0.5 * rows - mi.Float(row) - jitter.y) * pixel
         stop = mi.warp.square_to_uniform_disk_concentric(inside) * (aperture * camera.aperture_radius)
         point, slope, is_open = telecentric_rays(camera, (x, y, distance), (stop.x, stop.y))
-        # Of the channels of other variants one stands for all.
-        values = light(point, slope, is_open, spp + done)[: len(total)]
+        values = light(point, slope, is_open, spp + done)
         total += np.array(values, dtype=np.float64).reshape(*total.shape, count).sum(axis=-1)
         passed += np.array(is_open).reshape(rows, columns, count).sum(axis=-1)
     image = np.where(2 * passed >= passed.max(), total, np.nan) / np.maximum(passed, 1)
@@ -181,4 +179,4 @@ def telecentric_rays(camera: PlenopticCamera, point: Triple, stop: Pair) -> Trip
     start, slope, _ = TelecentricLens(lens).ray(stop, (0.0, 0.0))
     x, y = (at - point[2] * steep for at, steep in zip(point, slope, strict=False))
     is_open = FourierLens(lens).field_inset(-lens.magnification * x, -lens.magnification * y) >= 0
-    return (start[0] + x, start[1] + y, start[2]), slope, mi.Mask(is_open)
+    return (start[0] + x, start[1] + y, start[2]), slope, is_open

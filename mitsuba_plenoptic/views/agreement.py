@@ -4,7 +4,7 @@ import numpy as np
 import scipy
 import xarray as xr
 
-from ..runtime import Array
+from ..runtime import Array, Pair
 from .coordinates import camera_of, channel_planes, grid_of, view_places, view_steps, wavelength_of
 from .pupil_means import light_of_views, texture_of
 from .refocusing import moved
@@ -221,7 +221,7 @@ def spread_of_samples(lf: xr.DataArray, across: int) -> float:
     return float(np.mean(between * (1 - between)) + 1 / 12)
 
 
-def _sides(step: float) -> tuple[float, float]:
+def _sides(step: float) -> Pair:
     """Return the fraction of a view that lies on the low and on the high side of the pupil's middle."""
     high = float(np.clip(step + 0.5, 0, 1))
     return 1 - high, high

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from ..fields import Kind
 from ..optics import in_millimetres
-from ..runtime import Doubles, Floats, Integers, Shape, exponents, fft, on_all_cores, single_threaded_blas
+from ..runtime import Doubles, Floats, Integers, Pair, Shape, exponents, fft, on_all_cores, single_threaded_blas
 from .accuracy import USUAL
 from .array_field import LensWaves
 from .lens_functions import LensFunctions, of_middles
@@ -197,7 +197,7 @@ def _transfer(
     kind: Kind,
     polynomials: LensFunctions,
     coefficients: Doubles,
-    cosines: tuple[float, float] = (0.0, 0.0),
+    cosines: Pair = (0.0, 0.0),
 ) -> NDArray[np.complex64]:
     """Return the integrals over a cell of combinations of polynomials, times T T*, at lags along y and x.
 

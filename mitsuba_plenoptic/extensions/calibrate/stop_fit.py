@@ -75,7 +75,7 @@ def fit_stop(white: Array, camera: PlenopticCamera) -> StopFit:
     """
     white = as_array("white", white, shape=(None, None))
     refuse_if(not np.ptp(white) > 0, "white: all of its pixels are alike")
-    dead, hot = stuck(white, 0.01 * float(np.median(white[white > 0])))
+    dead, hot = stuck(white, 0.01 * float(np.quantile(white, 0.9)))
     white = np.where(dead | hot, median_filter(white, 3), white)
     camera = of_size(camera, white.shape[::-1])
     lens: Any = camera.objective
