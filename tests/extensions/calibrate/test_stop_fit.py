@@ -57,6 +57,6 @@ def test_what_shows_no_micro_images_is_refused():
     with pytest.raises(mp.InputError, match="finite"):
         fit_stop(np.where(np.eye(216), np.nan, 1), KNOWN)
     with pytest.raises(mp.InputError, match="no white picture"):
-        fit_stop(np.random.default_rng(0).random((216, 216)), KNOWN)
+        fit_stop(np.random.default_rng(0).random((108, 108)), KNOWN)
     with pytest.raises(mp.InputError, match="field_stop"):
         fit_stop(np.eye(216), KNOWN.replace(main_lens=replace(LENS, field_stop=None)))
