@@ -166,7 +166,7 @@ def objective_image(
         values = light(point, slope, is_open, spp + done)
         total += np.array(values, dtype=np.float64).reshape(*total.shape, count).sum(axis=-1)
         passed += np.array(is_open).reshape(rows, columns, count).sum(axis=-1)
-    image = np.where(2 * passed >= passed.max(), total, np.nan) / np.maximum(passed, 1)
+    image = np.where(2 * passed >= spp, total, np.nan) / np.maximum(passed, 1)
     return np.moveaxis(image, 0, -1) if mi.is_rgb else image[0]
 
 
