@@ -25,8 +25,9 @@ from ..io import (
     write_labelled_data,
 )
 from ..runtime import Array, require_writable
-from .coordinates import camera_of, require_light_field
+from .coordinates import camera_of, light_field, require_light_field
 from .decoding import decode
+from .grid import bin_grid
 from .grid_estimation import estimate_lens_grid
 from .lens_images import MicroImages, micro_images
 from .mosaics import read_mosaic, stated_mosaic, write_mosaic
@@ -65,7 +66,8 @@ def open_light_field(
     linear : bool
         Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
     camera : PlenopticCamera, optional
-        The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
+        The camera of a raw picture or of a light field's mosaic of lenses, or another one than a capture's. With it
+        distances are in millimetres.
     truth : path or bool
         Ground truth of a capture, for `decode`. True: the file that the capture names, if it lies in the same folder.
     """
@@ -87,8 +89,9 @@ def open_light_field(
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
     if (of_extension := format_of(key, "light field", str(path))) or name.endswith((".nc", ".zarr")):
-        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
-        return place(*of_extension)(path) if of_extension else read_labelled(path)
+        _refuse(path, white=white, views=views)
+        lf = place(*of_extension)(path) if of_extension else read_labelled(path)
+        return lf if camera is None else of_camera(lf, camera, path)
     if name.endswith(RAW_SUFFIXES):
         picture = read_numbers(path) if camera is None and white is None else None
         stated = picture and stated_mosaic(picture)
@@ -116,6 +119,18 @@ def open_light_field(
         f"{path}: it is {content_of(path)}{_step(path)}; a capture or light field is a folder with {HCI}, or has a "
         f"name that ends in .exr, {', '.join(LIGHT_FIELDS)}, .tiff or .bmp"
     )
+
+
+def of_camera(lf: xr.DataArray, camera: PlenopticCamera, path: Path) -> xr.DataArray:
+    """Return a light field with the camera that its mosaic of lenses was calibrated as."""
+    bins = bin_grid(camera)
+    pixels = lf.sizes["u"] * bins.shape[1], lf.sizes["v"] * bins.shape[0]
+    refuse_if(
+        bins.shape != lf.shape[2:4] or camera.crop_size != pixels,
+        f"{path}: its mosaic of lenses has {lf.sizes['u'] * lf.sizes['s']} x {lf.sizes['v'] * lf.sizes['t']} pixels, "
+        f"the camera {camera.crop_size[0]} x {camera.crop_size[1]}",
+    )
+    return light_field(lf.values, lf["weight"].values, camera, bins, white=lf["white"].values)
 
 
 def _step(path: Path) -> str:

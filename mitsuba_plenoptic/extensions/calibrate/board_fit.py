@@ -40,7 +40,9 @@ _CORRELATED = 16
 
 
 @suggest_keywords
-def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
+def calibrate(
+    corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None, *, fills_pupil: bool = False
+) -> Calibration:
     """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
     Outliers, rows far from the positions that the other rows predict, are left out of the fit and named
@@ -58,6 +60,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     centres : Table, optional
         Centres of micro-images, fitted jointly. Without centres, pitch and focal length are strongly correlated, and
         centres are assumed near the corners.
+    fills_pupil : bool
+        Whether micro-images that touch show the whole pupil, as the samples of each lens of a light field do, so that
+        their pitch tells the f-number instead of `start`.
 
     Raises
     ------
@@ -126,6 +131,10 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         not beyond < 1.0,
         f"corners: they leave open where this camera sees boards in other poses, +- {beyond:.2g} pixels: {REMEDY}",
     )
+    if fills_pupil:
+        f, b, z = final.numbers[:3]
+        width = np.hypot(*grid[1]) * start.pixel_size * b / z
+        start = start.replace(aperture_radius=start.focal_length * width / (2 * f))
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)

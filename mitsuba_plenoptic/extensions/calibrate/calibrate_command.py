@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ... import choices
-from ...cli import inputs, options
+from ...cli import inputs, options, stopping
 from ...errors import InputError, content_of, naming, refuse_if
 from ...runtime import progress_bar
 
@@ -173,11 +173,12 @@ def boards(
     Parameters
     ----------
     sources : CORNERS.csv | PICTURE...
-        Corners of the board, as 'calibrate corners' writes them, or raw pictures of it, one for each pose.
+        Corners of the board, as 'calibrate corners' writes them, or raw pictures of it, one for each pose; or light
+        fields (.mat, .eslf.png, .nc).
     output : FILE.json
         File to write: the camera.
     white : FILE | FOLDER
-        For pictures: a white picture of the same camera, or a folder of those of a Lytro camera.
+        For raw pictures: a white picture of the same camera, or a folder of those of a Lytro camera.
     centres : FILE
         Centres of micro-images, fitted jointly, as 'calibrate centres' writes them, or those of LFToolbox and
         PlenoptiCam (.json).
@@ -201,10 +202,15 @@ def boards(
     tables = [path for path in sources if path.suffix.lower() == ".csv"]
     refuse_if(tables and len(sources) > 1, f"{sources[0]}: give one table of corners, or pictures")
     if not tables:
-        from .picture_corners import corners_of_pictures
+        from .picture_corners import corners_of_pictures, is_light_field
 
-        with progress_bar("Finding corners") as progress:
-            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, progress)
+        fields = [is_light_field(path) for path in sources]
+        refuse_if(any(fields) and not all(fields), f"{sources[0]}: give light fields, or raw pictures")
+        if fields[0]:
+            inputs.refuse_options("a light field", white=white, camera=camera, centres=centres, linear=linear)
+        saved = stopping.checkpoint_of(output, False)
+        with progress_bar("Finding corners") as progress, saved, stopping.resumable(progress, saved):
+            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, saved, progress)
         for frame, path in enumerate(sources):
             rows = table.keep(table["frame"] == frame)
             typer.echo(f"frame {frame}, {path.name}: {len(set(rows['cluster']))} corners, seen {len(rows['u'])} times")
@@ -213,12 +219,13 @@ def boards(
             raise InputError("--camera: a table of corners needs it")
         inputs.refuse_options("a table of corners", white=white, linear=linear)
         table = calibration.read_corners(sources[0], size, start.crop_size)
-    result = calibration.calibrate(table, size, start, middles)
+        fields = [False]
+    result = calibration.calibrate(table, size, start, middles, fills_pupil=fields[0])
     calibration.write_calibration(output, result, size)
     if report:
         from .calibration_page import write_calibration_report
 
-        write_calibration_report(report, result, size, table, middles)
+        write_calibration_report(report, result, size, table, middles, () if tables else sources)
     for name, value in result.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {result.deviations[name]:.2g} {UNITS[name]}".rstrip())
     *lines, error = summary(result, _NAMED)

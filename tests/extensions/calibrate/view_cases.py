@@ -71,9 +71,9 @@ def noisy(seen, grid, noise, generator):
     return Observations(seen.lens + off, seen.pixel + off @ grid[1:], seen.board, seen.pose)
 
 
-def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0)):
+def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0), at=None):
     """Corners and centres of micro-images as files have them; the centres of 16 lenses along each axis err together."""
-    seen, grid = exact(numbers, board=board)
+    seen, grid = exact(numbers, at, board)
     seen = noisy(seen, grid, noise, generator)
     corner = np.round(seen.board / board.square).astype(int) @ [1, board.columns]
     lens = np.indices((64, 64)).reshape(2, -1).T * 4 - 128
