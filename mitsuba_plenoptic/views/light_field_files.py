@@ -84,7 +84,7 @@ def open_light_field(
         _refuse(path, views=views)
         capture = read_capture(path, camera=camera)
         ground_truth = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
-        by = None if white is None else read_recording(white, linear)
+        by = None if white is None else read_recording(white, linear, camera)
         return decode(capture, camera=camera, white=by, truth=ground_truth)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
@@ -168,7 +168,7 @@ def open_micro_images(
     path = Path(path)
     if path.suffix.lower() != ".exr":
         return None
-    by = None if white is None else read_recording(white, linear)
+    by = None if white is None else read_recording(white, linear, camera)
     return micro_images(read_capture(path, camera=camera), camera=camera, white=by)
 
 
@@ -206,11 +206,11 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return stored if are_alike(stored.camera, capture.camera) else None
 
 
-def read_recording(path: str | Path, linear: bool) -> Capture | Array:
-    """Read a capture with its camera, or the pixels of another program's picture."""
+def read_recording(path: str | Path, linear: bool, camera: PlenopticCamera | None = None) -> Capture | Array:
+    """Read a capture with its camera, or a given one instead, or the pixels of another program's picture."""
     if Path(path).suffix.lower() in RAW_SUFFIXES:
         return read_picture(path, linear=linear)
-    return read_capture(path) if read_attributes(path) else read_pixels(path)
+    return read_capture(path, camera=camera) if read_attributes(path) else read_pixels(path)
 
 
 def _refuse(path: Path, **options: object) -> None:

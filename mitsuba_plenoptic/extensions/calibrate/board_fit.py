@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
-from ...errors import InputError, naming, refuse_if, suggest_keywords
+from ...errors import InputError, naming, refuse_if, suggest_keywords, warn
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
@@ -94,7 +94,7 @@ def calibrate(
     problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
     if in_views:
         problem = replace(problem, grid=grid)
-        numbers, poses, good = view_start(problem, start, frames)
+        numbers, poses, good = view_start(problem, board, start, frames)
         # In pitches, for a first fit.
         noise = 0.05
         problem = replace(problem, known=known_beforehand(start, noise))
@@ -136,6 +136,12 @@ def calibrate(
         width = np.hypot(*grid[1]) * start.pixel_size * b / z
         start = start.replace(aperture_radius=start.focal_length * width / (2 * f))
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
+    f2 = start.mla_focal_lengths[0]
+    if in_views and not fills_pupil and abs(final.numbers[2] - f2) > 0.1 * f2:
+        warn(
+            f"corners: with squares of {board.square:g} mm detector_distance is {final.numbers[2]:.4g} mm, far from "
+            f"the data sheet's focal length of the microlenses, {f2:.4g} mm: check the sizes of squares and pixels"
+        )
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
         camera = camera_of(final.numbers, start)
         if in_views and start.mla_focal_lengths == (start.detector_distance,):

@@ -14,6 +14,7 @@ report : FILE.html
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -195,33 +196,34 @@ def boards(
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
+    from .picture_corners import corners_of_pictures, is_light_field
 
     size = calibration.Board.parse(board, square)
     middles = None if centres is None else calibration.read_centres(centres)
     start = None if camera is None else inputs.load_camera(camera, {})[0]
     tables = [path for path in sources if path.suffix.lower() == ".csv"]
     refuse_if(tables and len(sources) > 1, f"{sources[0]}: give one table of corners, or pictures")
-    if not tables:
-        from .picture_corners import corners_of_pictures, is_light_field
-
-        fields = [is_light_field(path) for path in sources]
-        refuse_if(any(fields) and not all(fields), f"{sources[0]}: give light fields, or raw pictures")
-        if fields[0]:
-            inputs.refuse_options("a light field", white=white, camera=camera, centres=centres, linear=linear)
-        saved = stopping.checkpoint_of(output, False)
-        with progress_bar("Finding corners") as progress, saved, stopping.resumable(progress, saved):
-            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, saved, progress)
-        for frame, path in enumerate(sources):
-            rows = table.keep(table["frame"] == frame)
-            typer.echo(f"frame {frame}, {path.name}: {len(set(rows['cluster']))} corners, seen {len(rows['u'])} times")
-    else:
-        if start is None:
-            raise InputError("--camera: a table of corners needs it")
-        inputs.refuse_options("a table of corners", white=white, linear=linear)
-        table = calibration.read_corners(sources[0], size, start.crop_size)
-        fields = [False]
-    result = calibration.calibrate(table, size, start, middles, fills_pupil=fields[0])
-    calibration.write_calibration(output, result, size)
+    without_raw = is_light_field(sources[0])
+    # Until the camera is written: corners that are found serve another try.
+    with contextlib.nullcontext() if tables else stopping.checkpoint_of(output, False) as saved:
+        if saved is None:
+            if start is None:
+                raise InputError("--camera: a table of corners needs it")
+            inputs.refuse_options("a table of corners", white=white, linear=linear)
+            table = calibration.read_corners(sources[0], size, start.crop_size)
+        else:
+            if without_raw:
+                inputs.refuse_options("a light field", white=white, camera=camera, centres=centres, linear=linear)
+            with progress_bar("Finding corners") as progress, stopping.resumable(progress, saved):
+                start, table, middles = corners_of_pictures(
+                    sources, white, size, start, middles, linear, saved, progress
+                )
+            for frame, path in enumerate(sources):
+                rows = table.keep(table["frame"] == frame)
+                count = len(set(rows["cluster"]))
+                typer.echo(f"frame {frame}, {path.name}: {count} corners, seen {len(rows['u'])} times")
+        result = calibration.calibrate(table, size, start, middles, fills_pupil=without_raw)
+        calibration.write_calibration(output, result, size)
     if report:
         from .calibration_page import write_calibration_report
 

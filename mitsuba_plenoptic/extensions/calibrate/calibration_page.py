@@ -23,9 +23,6 @@ _ENLARGED = 100
 # Parts of which the residuals by field and by depth are listed.
 _PARTS = 6
 
-# Points across a picture that is drawn with its corners, in which micro-images are not told apart.
-_ACROSS = 200
-
 
 def write_calibration_report(
     path: str | Path,
@@ -98,7 +95,8 @@ def on_pictures(pictures: Sequence[Path], corners: Corners) -> plots.Plot:
     axes = plot.panels(-(-len(pictures) // 4), 4).flat
     for frame, path in enumerate(pictures):
         image = grey(recorded(path, True))
-        step = -(-max(image.shape) // _ACROSS)
+        # So coarse that micro-images are not told apart.
+        step = -(-max(image.shape) // 200)
         rows, columns = np.array(image.shape) // step
         coarse = image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean((1, 3))
         plots.show(axes[frame], coarse, f"{frame}", peak=float(np.quantile(coarse, 0.99)))

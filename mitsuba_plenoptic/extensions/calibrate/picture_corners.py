@@ -15,7 +15,7 @@ from ...design import focus_types
 from ...errors import InputError, naming, refuse_if
 from ...io import RECORDED, Capture, Checkpoint, digest
 from ...runtime import Array, Progress
-from ...views import lens_mosaic, open_light_field, pixels_around, read_recording
+from ...views import open_light_field, pixels_around, read_recording
 from ..raw.lytro_file import nearest_white
 from .detect import camera_centres, detect_corners, even_colours
 from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, Table, concatenate
@@ -40,7 +40,7 @@ def corners_of_pictures(
     if is_light_field(paths[0]):
         lf = open_light_field(paths[0])
         camera = camera_of_views(lf)
-        light, centres = lens_mosaic(lf["weight"]), camera_centres(camera)
+        light, centres = _lenses_together(lf["weight"]), camera_centres(camera)
     else:
         camera, light, centres = _with_white(paths[0], white, camera, centres, linear)
     is_unfocused = focus_types(camera)[0] == "unfocused"
@@ -48,6 +48,7 @@ def corners_of_pictures(
     names = VIEW_COLUMNS if is_unfocused else CORNER_COLUMNS
     known = {"size": [board.columns, board.rows], "lattice": camera.mla_lattice, "unfocused": is_unfocused}
     found = checkpoint.begin_arrays(**known, white=digest(light, *centres.columns.values())) or {}
+    progress(1, len(paths) + 1)
     first = None
     tables = []
     for frame, path in enumerate(paths):
@@ -67,7 +68,7 @@ def corners_of_pictures(
             checkpoint.save_arrays(partial(dict, found))
         columns = {name: found[f"{key}.{name}"] for name in names}
         tables.append(Table(str(path), columns | {"frame": np.full(len(columns["u"]), frame)}))
-        progress(frame + 1, len(paths))
+        progress(frame + 2, len(paths) + 1)
     return camera, concatenate(tables), centres
 
 
@@ -114,7 +115,13 @@ def camera_of_views(lf: xr.DataArray) -> PlenopticCamera:
 
 def recorded(path: Path, linear: bool) -> Capture | Array:
     """Read a raw picture, or a light field's mosaic of lenses."""
-    return lens_mosaic(open_light_field(path)) if is_light_field(path) else read_recording(path, linear)
+    return _lenses_together(open_light_field(path)) if is_light_field(path) else read_recording(path, linear)
+
+
+def _lenses_together(lf: xr.DataArray) -> Array:
+    """Return the samples (t v, s u, channels) of each lens of a light field together."""
+    v, u, t, s = lf.shape[:4]
+    return lf.transpose("t", "v", "s", "u", ...).values.reshape(t * v, s * u, -1)
 
 
 def unclipped(centres: Table, white: Array) -> Table:

@@ -125,6 +125,8 @@ def test_squares_of_another_size_explain_the_corners_of_a_light_field_as_well():
     )
     assert large.evaluation.error == pytest.approx(small.evaluation.error, rel=1e-3)
     np.testing.assert_allclose(large.evaluation.poses[:, 3:], 2 * small.evaluation.poses[:, 3:], rtol=5e-3, atol=1.5)
+    with pytest.warns(match="check the sizes of squares"):
+        calibrate(corners, replace(cases.BOARD, square=42.0), SHEET, centres)
     assert large.camera.f_number == pytest.approx(small.camera.f_number / 2, rel=0.03)
 
 
