@@ -16,6 +16,7 @@ from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, PRINCIPAL,
 from mitsuba_plenoptic.extensions.calibrate.detect import camera_centres
 from mitsuba_plenoptic.extensions.calibrate.observations import find_lens_index, observations
 from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.lenses import undistort
 from mitsuba_plenoptic.views import disparity, open_light_field, save_light_field, white_image
 from mitsuba_plenoptic.views.light_field_files import of_camera
 
@@ -293,6 +294,14 @@ def test_lftoolbox_reads_the_same_rays(focus, tmp_path):
     aim = np.array([lf["s"].values[19], lf["t"].values[3]])
     straight = aim if np.isinf(focus) else (aim - [x, y]) / focus
     np.testing.assert_allclose(slope, -straight, rtol=1e-9)
+    # To first order in the distance of its centre from the axis.
+    k1, k2, k3, *centre = values["EstCamDistortionV"]
+    chief = np.array([[0.15, -0.1, 0.05, 0.0], [0.1, 0.12, -0.15, -0.1]])
+    away = chief - np.reshape(centre, (2, 1))
+    square = (away**2).sum(0)
+    theirs = away * (1 + k1 * square + k2 * square**2 + k3 * square**3) + np.reshape(centre, (2, 1))
+    ours = np.array(undistort(*(camera.mla_distance * chief), camera.distortion)) / camera.mla_distance
+    assert np.abs(theirs - ours).max() < 0.01 * np.abs(ours - chief).max()
     again = cal.read_camera(tmp_path / "CalInfo.json")[0]
     seen = of_camera(lf, again, tmp_path)
     for name in "uvst":
