@@ -177,9 +177,10 @@ def adjust(
 ) -> Adjusted:
     """Return the camera parameters and poses that minimise the weighted sum of squared residuals.
 
-    Shapes: `weights` (n,).
+    A bent board's shape is fitted with any parameter of the camera. Shapes: `weights` (n,).
     """
-    free_index = np.array([AT[name] for name in free], dtype=int)
+    shape = range(len(NAMES), len(numbers)) if free else ()
+    free_index = np.array([*(AT[name] for name in free), *shape], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
     refuse_if(

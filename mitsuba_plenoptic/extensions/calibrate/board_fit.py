@@ -41,7 +41,13 @@ _CORRELATED = 16
 
 @suggest_keywords
 def calibrate(
-    corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None, *, fills_pupil: bool = False
+    corners: Table,
+    board: Board,
+    start: PlenopticCamera,
+    centres: Table | None = None,
+    *,
+    fills_pupil: bool = False,
+    bent: bool = False,
 ) -> Calibration:
     """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
@@ -63,6 +69,8 @@ def calibrate(
     fills_pupil : bool
         Whether micro-images that touch show the whole pupil, as the samples of each lens of a light field do, so that
         their pitch tells the f-number instead of `start`.
+    bent : bool
+        Whether the board's shape is fitted, too, as a polynomial of degree 5.
 
     Raises
     ------
@@ -97,7 +105,6 @@ def calibrate(
         numbers, poses, good = view_start(problem, board, start, frames)
         # In pitches, for a first fit.
         noise = 0.05
-        problem = replace(problem, known=known_beforehand(start, noise))
     else:
         numbers, poses, good = start_values(problem, board, frames, grid, middle)
         noise = max(deviation(np.hypot(*problem.residuals(numbers, poses)[good].T)), 1e-3)
@@ -106,6 +113,16 @@ def calibrate(
         problem = _with_centres(problem, centres, inliers, index, noise / scatter)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
+    shapes = board.shapes(corners["cluster"])[:, : None if bent else 0]
+
+    def known(noise: float) -> Array:
+        """Return what is known beforehand, with weights; a bent board's shapes are some hundredths of its length."""
+        of_camera = known_beforehand(start, noise) if in_views else np.zeros((2, len(NAMES)))
+        weight = 50 * noise / (board.square * max(board.columns, board.rows))
+        return np.concatenate([of_camera, np.outer([0.0, weight], np.ones(shapes.shape[1]))], axis=1)
+
+    problem = replace(problem, corners=replace(problem.corners, bend=shapes), known=known(noise))
+    numbers = np.append(numbers, np.zeros(shapes.shape[1]))
     weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
     fit = adjust(problem, numbers, poses, weights=weights)
     steps = 0
@@ -115,7 +132,7 @@ def calibrate(
         weights = _weights(problem, fit, frames)
         if in_views:
             noise = max(deviation(np.hypot(*problem.residuals(fit.numbers, fit.poses).T)), 1e-3)
-            problem = replace(problem, centre_weight=noise / scatter, known=known_beforehand(start, noise))
+            problem = replace(problem, centre_weight=noise / scatter, known=known(noise))
         fit = adjust(problem, fit.numbers, fit.poses, weights=weights)
         if ((before > 0) == (weights > 0)).all():
             break
@@ -126,6 +143,7 @@ def calibrate(
     final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
     covariance, disagreement, by_frames, held_out = fit_covariance(problem, final, weights)
     deviations = np.sqrt(np.diag(covariance))
+    count = len(NAMES)
     beyond = prediction_deviation(problem, final, covariance)
     refuse_if(
         not beyond < 1.0,
@@ -143,7 +161,7 @@ def calibrate(
             f"the data sheet's focal length of the microlenses, {f2:.4g} mm: check the sizes of squares and pixels"
         )
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
-        camera = camera_of(final.numbers, start)
+        camera = camera_of(final.numbers[:count], start)
         if in_views and start.mla_focal_lengths == (start.detector_distance,):
             # Corners do not tell it: lenses are taken as focused at infinity.
             camera = camera.replace(mla_focal_length=camera.detector_distance)
@@ -165,9 +183,9 @@ def calibrate(
         camera,
         index,
         _evaluation(problem, final.numbers, final.poses, frames),
-        dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, deviations.tolist(), strict=True)),
-        covariance / np.outer(deviations, deviations),
+        dict(zip(NAMES, final.numbers[:count].tolist(), strict=True)),
+        dict(zip(NAMES, deviations[:count].tolist(), strict=True)),
+        (covariance / np.outer(deviations, deviations))[:count, :count],
         centre_residuals,
         steps + fit.steps + final.steps,
         blur,
@@ -176,7 +194,11 @@ def calibrate(
         centre_outliers,
         beyond,
         held_out,
-        {NAMES[at]: float(deviations[at]) for at in np.flatnonzero(problem.known[1] * deviations > 0.7 * noise)},
+        {
+            NAMES[at]: float(deviations[at])
+            for at in np.flatnonzero((problem.known[1] * deviations)[:count] > 0.7 * noise)
+        },
+        board.shapes(np.arange(board.columns * board.rows)) @ final.numbers[count:] if bent else np.zeros(0),
     )
 
 

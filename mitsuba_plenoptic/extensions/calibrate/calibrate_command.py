@@ -164,6 +164,7 @@ def boards(
     white: options.Existing | None = None,
     centres: options.Existing | None = None,
     linear: bool = False,
+    bent: bool = False,
     report: Annotated[Path, options.ends_in(".html")] | None = None,
 ) -> None:
     """Fit a camera to a checkerboard in several poses: to its corners, or to raw pictures of it.
@@ -183,6 +184,8 @@ def boards(
     centres : FILE
         Centres of micro-images, fitted jointly, as 'calibrate centres' writes them, or those of LFToolbox and
         PlenoptiCam (.json).
+    bent
+        Fit the board's shape, too, as of paper that does not lie flat.
 
     Examples
     --------
@@ -222,7 +225,7 @@ def boards(
                 rows = table.keep(table["frame"] == frame)
                 count = len(set(rows["cluster"]))
                 typer.echo(f"frame {frame}, {path.name}: {count} corners, seen {len(rows['u'])} times")
-        result = calibration.calibrate(table, size, start, middles, fills_pupil=without_raw)
+        result = calibration.calibrate(table, size, start, middles, fills_pupil=without_raw, bent=bent)
         calibration.write_calibration(output, result, size)
     if report:
         from .calibration_page import write_calibration_report

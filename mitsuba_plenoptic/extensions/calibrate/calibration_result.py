@@ -113,6 +113,8 @@ class Calibration:
     assumed : dict
         Of corners in views: numbers that the data leave open, with deviations, mostly those assumed for them from 0 or
         from the middle of the picture.
+    board_heights : (corners,) array
+        Of a bent board: how far each corner lies behind the plane through all, in mm.
     """
 
     camera: PlenopticCamera
@@ -130,6 +132,7 @@ class Calibration:
     prediction_deviation: float = 0.0
     held_out: Array = field(default_factory=lambda: np.zeros(1))
     assumed: dict[str, float] = field(default_factory=dict)
+    board_heights: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def centre_error(self) -> float | None:
@@ -284,7 +287,12 @@ def summary(calibration: Calibration, most: int) -> list[str]:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
             "model misses something: deviations are those of leaving out frames"
+            + "; --bent fits a board that is not flat"
+            * (not len(calibration.board_heights))
         )
+    if len(calibration.board_heights):
+        low, high = calibration.board_heights.min(), calibration.board_heights.max()
+        lines.append(f"the board is bent: corners lie {low:+.3f} to {high:+.3f} mm behind a plane")
     lines += outlier_lines(calibration.evaluation, most)
     if len(calibration.centre_outliers):
         rows = listed((calibration.centre_outliers + 2).tolist(), most)
@@ -324,13 +332,13 @@ def listed(items: Sequence[object], most: int) -> str:
 
 
 def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool, Array]:
-    """Return the covariance (17, 17) of a fit's parameters, of which none is held fixed, and how frames disagree.
+    """Return the covariance of a fit's parameters, of which none is held fixed, and how frames disagree.
 
     That is by how much they disagree about the parameters, over what their residuals' scatter explains, and whether
     this is more than chance allows, so that the covariance is that of leaving out frames. Last, the RMS error of each
     pose for a camera fitted to the others, to first order. Shapes: `weights` (n,).
     """
-    count = len(NAMES)
+    count = len(fit.numbers)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
     scale = np.sqrt((np.concatenate(blocks)[:, :count] ** 2).sum(0))
     blocks = [block / np.append(scale, 1.0) for block in blocks]
@@ -379,7 +387,7 @@ def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance:
 
     For any quantity that follows from parameters and poses, the squared changes add up to its variance.
     """
-    heads, _ = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(NAMES)))
+    heads, _ = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(fit.numbers)))
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     moved = []
@@ -392,7 +400,7 @@ def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance:
 def prediction_deviation(problem: Problem, fit: Adjusted, covariance: Array) -> float:
     """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
     observed = problem.corners
-    count = len(NAMES)
+    count = len(fit.numbers)
     middle = np.append((observed.board.min(0) + observed.board.max(0)) / 2, 0.0)
     square = 0.0
     rows = 0

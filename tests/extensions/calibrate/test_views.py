@@ -95,6 +95,20 @@ def test_an_error_of_the_white_moves_distances_as_stated(found):
     assert 8 < off / moved.deviations["mla_distance"] < 16
 
 
+def test_the_shape_of_a_bent_board_is_found():
+    bend = np.random.default_rng(3).normal(0, 0.3, cases.BOARD.shapes(np.zeros(1, int)).shape[1])
+    corners, centres = cases.tables(TRUE, cases.BOARD, NOISE, np.random.default_rng(0), bend=bend)
+    flat, bent = (calibrate(corners, cases.BOARD, SHEET, centres, bent=bent) for bent in (False, True))
+    heights = cases.BOARD.shapes(np.arange(30)) @ bend
+    assert np.ptp(heights) > 1
+    assert np.abs(bent.board_heights - heights).max() < 0.05
+    assert bent.evaluation.error == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    apart = np.array(list(bent.numbers.values())) - cases.indexed(TRUE, bent.index)
+    assert np.abs(np.delete(apart / list(bent.deviations.values()), PRINCIPAL)).max() < 4.5
+    # Of a board that is taken for flat, frames disagree.
+    assert flat.by_frames and flat.evaluation.error > 2 * bent.evaluation.error
+
+
 @pytest.mark.slow
 def test_deviations_are_true():
     errors = np.array([cases.normalised_errors(seed) for seed in range(40)])
