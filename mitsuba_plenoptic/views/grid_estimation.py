@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from ..array import Lattice
 from ..errors import refuse_if
-from ..runtime import Array, as_pixels, exponents, monomials
+from ..runtime import Array, as_pixels, exponents, monomials, single_threaded_blas
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Part of a step by which a wave may miss a wave of a lattice.
@@ -23,6 +23,7 @@ _CELL = 24
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 
+@single_threaded_blas()
 def estimate_lens_grid(white: Array, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
