@@ -5,8 +5,6 @@ each lens of the width w sees the object through its part of the stop, with :mat
 of its own (Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

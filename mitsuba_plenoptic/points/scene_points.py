@@ -10,8 +10,6 @@ where A_c is the area of a lens's cell, and f the fraction of the light to the v
 from which rays start: only rays of this fraction could have found the point.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ correlations of the kernels with the gradient of a function of the capture are g
 Dr.Jit differentiates `SignedRaySum.estimate`, which makes these of the radiances, batch by batch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

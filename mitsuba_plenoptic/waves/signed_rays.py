@@ -10,8 +10,6 @@ n, with the control variate c (`control_variate`),
 because the integrals of the coefficients over m are known. `SignedRaySum.estimate` is this formula.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math

@@ -1,7 +1,5 @@
 """The camera parameters with respect to which captures are differentiated, as Dr.Jit arrays with gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cache, partial
 from typing import Any, cast
