@@ -300,7 +300,7 @@ class MicrolensArray:
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
         self.axes = factor_axes(camera)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple:
         return microlens_array, (self._camera, self._wavelength)
 
     @property
@@ -351,7 +351,7 @@ class VaryingArrayFactor:
 
     factor: ArrayFactor
     lattice: Lattice
-    focal_lengths: list[Any]  # for each type of lens, reduced by the index of the medium
+    focal_lengths: list  # for each type of lens, reduced by the index of the medium
     wavelength: Any
 
     @property

@@ -4,7 +4,7 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import OpenEXR
@@ -266,7 +266,7 @@ def _undamaged(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
+def _opened(path: Path, parts: list[ExrPart]) -> Iterator:
     """Open the pixels of a file with given parts."""
     # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
     samples = sum(

@@ -111,7 +111,7 @@ def _follow(
     square = (entrance**2).sum(0)
     before = (square * inverse_distance - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
     start = (*(entrance / scale), np.full_like(field, numbers.entrance_pupil))
-    heights: list[Any] = []
+    heights: list = []
     # Edges are ignored: only rays that miss a surface or are totally reflected are lost.
     elements = [sequential.widened(element, np.inf) for element in lens.forwards]
     with np.errstate(all="ignore"):

@@ -98,7 +98,7 @@ class Wavefront:
         return along_x + added[0], along_y + added[1]
 
 
-def _sum(terms: list[Any], x: Any) -> Any:
+def _sum(terms: list, x: Any) -> Any:
     """Return the value of a polynomial in x, by Horner's rule."""
     total = 0.0
     for term in reversed(terms):

@@ -97,7 +97,7 @@ class ShiftedSum(FullFieldSum):
         self._layers = plan.layers(self._lit)
         self.items = np.array([*map(len, self._layers)], np.int64)
 
-    def batches(self, first: int) -> Iterator[Any]:
+    def batches(self, first: int) -> Iterator:
         """Yield one batch for each depth."""
         return (_Layer(self._plan, points, self._weights[points], False) for points in self._layers[first:])
 

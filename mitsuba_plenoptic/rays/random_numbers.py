@@ -31,7 +31,7 @@ def even_words(dimensions: int) -> tuple[int, ...]:
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
 
 
-def low_discrepancy(lane: Any, key: Any, index: Any, dimensions: int) -> list[Any]:
+def low_discrepancy(lane: Any, key: Any, index: Any, dimensions: int) -> list:
     """Return the numbers from 0 to 1, of 24 bits, at an index of a sequence that fills the unit cube evenly.
 
     Sequences are displaced at random, by the lane and the key, modulo 1.

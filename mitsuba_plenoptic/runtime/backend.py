@@ -128,7 +128,7 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
     return kind(numbers.reshape(-1))
 
 
-def interleaved(parts: list[Any]) -> Any:
+def interleaved(parts: list) -> Any:
     """Return one Dr.Jit array with the first number of each of some arrays, then the second ones, and so on."""
     count = dr.width(parts)
     numbers = dr.empty(type(parts[0]), dr.width(parts) * len(parts))

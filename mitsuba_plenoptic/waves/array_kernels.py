@@ -94,7 +94,7 @@ def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles,
             count //= 2
             step *= 1 + (farthest > count)
         weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
-        transfers: list[Any] = []
+        transfers: list = []
         for direction in cosines:
             # Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the
             # signs of odd functions.

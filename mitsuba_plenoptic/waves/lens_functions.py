@@ -166,7 +166,7 @@ class LegendreProducts:
         along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v)]
         return np.stack([along[0][i] * along[1][j] + 0 * u for i, j in self.pairs], -1) - self._means
 
-    def at_rays(self, u: Any, v: Any) -> list[Any]:
+    def at_rays(self, u: Any, v: Any) -> list:
         """Return the values at Dr.Jit points."""
         along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v, dr.opaque)]
         others = zip(self.pairs[1:], self._means[1:].tolist(), strict=True)
@@ -185,7 +185,7 @@ class LegendreProducts:
         return boxed[0], boxed[1]
 
 
-def legendre(x: Any, degree: int) -> list[Any]:
+def legendre(x: Any, degree: int) -> list:
     """Return Legendre's polynomials up to a degree, by their recurrence."""
     series = [1.0, x]
     for n in range(1, degree):

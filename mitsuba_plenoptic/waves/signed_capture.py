@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -113,7 +113,7 @@ class SignedCapture:
         return result
 
     @property
-    def kind(self) -> type[Any]:
+    def kind(self) -> type:
         """The kind of the sums of which a capture is the mean."""
         if self.camera.lens_data.images_stop:
             from .stop_sum import StopSum
@@ -122,7 +122,7 @@ class SignedCapture:
         return SignedRaySum
 
     def sums(
-        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None
+        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: Callable[..., list] | None = None
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
@@ -260,7 +260,7 @@ class SignedGradients:
                     light.propagate()
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 
-    def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:
+    def _sum(self, kind: Callable[..., Sum], light: Callable[..., list] | None = None) -> Sum:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
     def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> Floats:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -67,7 +66,7 @@ class WhiteFrame:
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
 
 
-def sensor_pictures(white: Path, **others: Path | None) -> list[Any]:
+def sensor_pictures(white: Path, **others: Path | None) -> list:
     """Return the values of a sensor's pictures, (rows, columns), the white one first; None where there is no file.
 
     They are proportional to light: the numbers in a picture. Pictures have one channel, and the size of the white one.

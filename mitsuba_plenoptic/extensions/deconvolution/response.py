@@ -260,7 +260,7 @@ class Response(StoredResponse):
         self.cells = BinCells(grid, along, across)
         # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
         rays = math.ceil(256 * math.sqrt(oversample / math.sqrt(along * across)))
-        self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
+        self._batches: Callable[..., Sequence[Sequence]] = functools.partial(ray_batches, rays)
         if wavelength:
             self._batches = functools.partial(wave_batches, fine)
         self._camera = camera
@@ -410,7 +410,7 @@ class Response(StoredResponse):
             white = self._direct(np.ones(self.source_shape, np.float32))
             self._gain = np.where(white > 0.005 * white.max(), self._gain, np.float32(0))
 
-    def _computed(self, bins: Sequence[Sequence[Any]], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
+    def _computed(self, bins: Sequence[Sequence], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
         """Return the results of the batches of bins, whose samples count as progress."""
         done = self._done
         batches = list(itertools.chain.from_iterable(bins))
@@ -598,7 +598,7 @@ class Response(StoredResponse):
         return np.concatenate([bins.share @ plane.adjoint(light).ravel() for plane, bins in planes]) * self._bright
 
 
-def _samples(bins: Iterable[Sequence[Any]]) -> int:
+def _samples(bins: Iterable[Sequence]) -> int:
     """Return the samples of the batches of bins, to which their time is about proportional."""
     return sum(batch.samples for some in bins for batch in some)
 

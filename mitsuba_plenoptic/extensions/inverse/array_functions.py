@@ -96,10 +96,10 @@ class Latest:
 
     def forget(self) -> None:
         """Free the latest value; a later request computes it again."""
-        self._given: list[Any] = []
+        self._given: list = []
         self._value: Value | None = None
 
-    def at(self, arrays: Sequence[Any]) -> Value:
+    def at(self, arrays: Sequence) -> Value:
         """Return the value of the function at given arrays, computed only if they differ from the latest arrays."""
         # Another thread may have this function forget its value meanwhile.
         last = self._given

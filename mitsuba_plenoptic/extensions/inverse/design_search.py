@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def maximise(
     refuse_if(len(set(labels)) < len(labels), "bounds: a parameter has two of them")
     vector = vector_of(camera, [label.split(".", 1)[0] for label in labels]).keep(labels)
     low, high = vector.limits(bounds)
-    best: list[Any] = [-np.inf, camera]
+    best: list = [-np.inf, camera]
     tried = 0
 
     def cost(position: Doubles) -> tuple[float, Doubles]:

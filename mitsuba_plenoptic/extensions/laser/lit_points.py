@@ -66,7 +66,7 @@ class LaserScene:
 
     scene: Any
     sensor: Any
-    lasers: Sequence[Any]
+    lasers: Sequence
     system: OpticalSystem
 
     def points(self, per_spot: float, seed: int) -> LitPoints:
@@ -232,7 +232,7 @@ class LaserScene:
         return np.fmod(path / in_millimetres(self.system.wavelength), 1)
 
 
-def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list[Any]:
+def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list:
     """Return the emitters with given ids; refuse emitters that cannot be lasers."""
     emitters = {emitter.id(): emitter for emitter in scene.emitters()}
     lasers = []

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -205,7 +204,7 @@ class Study:
         return CameraModel.of(self.stages.facts(f"camera_{light}", inputs, fitted))
 
     @cached_property
-    def _given(self) -> list[Any]:
+    def _given(self) -> list:
         """What all stages depend on."""
         return [
             digest(self.pictures.light_field),

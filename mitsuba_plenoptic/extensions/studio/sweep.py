@@ -45,7 +45,7 @@ DISTANCE = "distance"
 Grid = Mapping[str, Sequence[float]]
 
 
-def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]:
+def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list]:
     """Return the grid that a YAML file, if any, and texts such as ``name=1,2,3`` state."""
     content = {} if path is None else read_yaml(path)
     refuse_if(
@@ -60,7 +60,7 @@ def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]
     return grid
 
 
-def check_grid(grid: Mapping[Any, Any]) -> dict[str, Numbers]:
+def check_grid(grid: Mapping) -> dict[str, Numbers]:
     """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
     checked = {}
     for name, values in grid.items():
@@ -260,7 +260,7 @@ class SweepFile:
             }
         )
 
-    def put(self, index: tuple[Any, ...], capture: Capture, images: list[Array]) -> None:
+    def put(self, index: tuple, capture: Capture, images: list[Array]) -> None:
         """Write one capture with its reconstructions into the file."""
         # A grid of distances alone has one capture, without an axis.
         at = tuple(map(int, index))
