@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, did_you_mean, refuse_if, short_repr
-from ..runtime import Doubles
+from ..runtime import Doubles, Sizes
 from .entry import Captures, Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
@@ -80,7 +80,7 @@ class Component:
     """Entry of a vector: one or several equal components of a parameter, with a label for results."""
 
     name: str
-    parts: tuple[int, ...]
+    parts: Sizes
     label: str
 
 

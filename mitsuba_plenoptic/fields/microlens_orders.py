@@ -82,7 +82,7 @@ class ArrayFactor(ABC):
 
     _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
-    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: Sizes):
+    def __init__(self, camera: PlenopticCamera, axes: Sizes, shape: Sizes):
         lattice = camera.lattice
         types = len(camera.mla_focal_lengths)
         self._camera = camera
@@ -355,7 +355,7 @@ class VaryingArrayFactor:
     wavelength: Any
 
     @property
-    def axes(self) -> tuple[int, ...]:
+    def axes(self) -> Sizes:
         """Axes of the coordinates on which the factor depends."""
         return self.factor.axes
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..array import Lattice, make_lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres, phasor, second_leg
-from ..runtime import Doubles, fft, turn
+from ..runtime import Doubles, Sizes, fft, turn
 from .accuracy import ACCURACY
 
 
@@ -24,7 +24,7 @@ def is_separable(camera: PlenopticCamera) -> bool:
     return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.microlens.is_parabolic
 
 
-def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
+def factor_axes(camera: PlenopticCamera) -> list[Sizes]:
     """Return the axes of each factor of the transmission, which has none without an array."""
     if not camera.has_array:
         return []

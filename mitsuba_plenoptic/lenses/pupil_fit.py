@@ -22,7 +22,7 @@ import numpy as np
 
 from ..errors import InputError, refuse_if
 from ..optics import guards, in_millimetres
-from ..runtime import Array, Doubles, Flags, Pair
+from ..runtime import Array, Doubles, Flags, Pair, Sizes
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem
@@ -186,7 +186,7 @@ class PupilFit:
     # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: tuple[Polynomial, ...]
     # Indices of these surfaces.
-    cutting: tuple[int, ...]
+    cutting: Sizes
     # Root mean square error of the path, in waves, of the worst point that checks the fit.
     error: float
 

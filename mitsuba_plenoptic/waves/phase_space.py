@@ -40,6 +40,7 @@ from ..runtime import (
     Floats,
     Pair,
     Shape,
+    Sizes,
     begin_step,
     drjit_array,
     empty_packets,
@@ -195,7 +196,7 @@ class PhaseSpace:
         return self.camera.pupil_radius, *self.nodes
 
     @property
-    def shapes(self) -> list[tuple[int, ...]]:
+    def shapes(self) -> list[Sizes]:
         """Shapes of the table's arrays."""
         return [(node.angular + 1, *reversed(node.counts), self.functions.count) for node in self.nodes]
 
@@ -461,7 +462,7 @@ class Table(list[NDArray[Any]]):
 
     def __init__(
         self,
-        shapes: Sequence[tuple[int, ...]],
+        shapes: Sequence[Sizes],
         # Memory, and the table's first packet in each row; by default, memory for this table alone.
         memory: NDArray[Any] | None = None,
         first: int = 0,
@@ -479,7 +480,7 @@ class Table(list[NDArray[Any]]):
         super().__init__(rows.reshape(shape) for rows, shape in zip(np.split(columns, ends)[:-1], shapes, strict=True))
 
     @classmethod
-    def side_by_side(cls, tables_of_shapes: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
+    def side_by_side(cls, tables_of_shapes: Sequence[Sequence[Sizes]]) -> list[Table]:
         """Return zero tables of given shapes with the same places, in one memory."""
         together = [
             (*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in tables_of_shapes))

@@ -19,7 +19,7 @@ from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spre
 from ..errors import warn
 from ..io import digest
 from ..optics import Spectrum
-from ..runtime import Doubles, Floats, Job, SumTask, check_memory, steps_counted
+from ..runtime import Doubles, Floats, Job, Sizes, SumTask, check_memory, steps_counted
 from ..scene import LightDerivatives, ReplayedLight, SceneLight
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
@@ -92,7 +92,7 @@ class SignedCapture:
         return nearby(self.camera, self.varying, self.accuracy)
 
     @cached_property
-    def weights(self) -> list[tuple[float, tuple[int, ...], Doubles]]:
+    def weights(self) -> list[tuple[float, Sizes, Doubles]]:
         """Each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         conversion = self.conversion
         wavelengths = np.array(self.spectrum.wavelengths)

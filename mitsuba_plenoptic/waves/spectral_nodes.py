@@ -25,7 +25,7 @@ from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..optics import Spectrum, in_millimetres, interpolated
 from ..rays import even_words
-from ..runtime import Doubles, Pair, drjit_array
+from ..runtime import Doubles, Pair, Sizes, drjit_array
 from .accuracy import USUAL
 from .scheme import diffraction_of
 
@@ -90,7 +90,7 @@ class Node:
     # Coefficients and kernels of the camera at this wavelength.
     plan: Any
     # Channels of the capture that have an image at this node.
-    channels: tuple[int, ...]
+    channels: Sizes
     # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
     # drawn wavelengths, the values are those at the edges of the strata.
     weights: Doubles

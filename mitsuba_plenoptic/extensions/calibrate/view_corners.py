@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Shape
 from .boards import Picture, located
 from .detect import divided_picture
 from .observations import DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, Table, find_lens_index
@@ -144,12 +144,12 @@ def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[
     return position[good], angle[good]
 
 
-def _grown(position: Array, angle: Array) -> dict[tuple[int, int], int]:
+def _grown(position: Array, angle: Array) -> dict[Shape, int]:
     """Return the largest grid of saddle points: their numbers by column and row.
 
     From one corner to the next, dark and light change: rising slopes are at right angles.
     """
-    best: dict[tuple[int, int], int] = {}
+    best: dict[Shape, int] = {}
     if len(position) < 9:
         return best
     tree = cKDTree(position)
@@ -186,7 +186,7 @@ def _grown(position: Array, angle: Array) -> dict[tuple[int, int], int]:
     return best
 
 
-def _fullness(grid: dict[tuple[int, int], int]) -> float:
+def _fullness(grid: dict[Shape, int]) -> float:
     """Return how many corners a grid has, times the part of its columns and rows that is filled."""
     return len(grid) ** 2 / np.prod(np.ptp(list(grid), axis=0) + 1) if grid else 0.0
 

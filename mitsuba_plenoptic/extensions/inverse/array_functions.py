@@ -18,10 +18,10 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
 from ...points import CaptureOperator, derivatives
-from ...runtime import Array, Named
+from ...runtime import Array, Named, Sizes
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
-Shape = tuple[int, ...]
+Shape = Sizes
 Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
 
 

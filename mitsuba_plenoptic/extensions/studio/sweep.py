@@ -27,6 +27,7 @@ from ...runtime import (
     Numbers,
     Progress,
     Sink,
+    Sizes,
     atomic_output,
     read_yaml,
     remove_leftovers,
@@ -95,7 +96,7 @@ class Points:
         # What the scene's sensor states, by the scene's parameters.
         self._of_sensor: dict[str, Facts] = {}
         # Rows and columns, and of bins, of the largest images.
-        self.largest: tuple[int, ...] = ()
+        self.largest: Sizes = ()
         # Of the capture of each point, and of its reconstructions.
         self._work: list[float] = []
         self.distances = grid.get(DISTANCE, ())
@@ -219,7 +220,7 @@ class SweepFile:
     Its images are as large as the largest; what smaller ones leave of them is not a number.
     """
 
-    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: tuple[int, ...]):
+    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: Sizes):
         self.variables = file.variables
         self._grid = grid
         axes = [name for name in grid if name != DISTANCE]
