@@ -78,7 +78,7 @@ class Extension:
         of such an object that return its HTML.
     hooks : mapping of str to str
         Places of functions that the core calls where they are installed: ``small lenses``, the wave capture of a
-        camera, its light, the colours and the accuracy; ``foreign camera``, that of another program's file;
+        camera, its light, the colours and the accuracy; ``libpleno``, the camera of the object in such a file;
         ``--real``, what ``compare`` does with a real light field; ``coherent fields``, those of a wave camera's points.
     formats : mapping of str to FileFormat
         Suffixes of files, such as ``.lfr``, or the name of a file in each folder, such as ``parameters.cfg``, and how
@@ -182,7 +182,7 @@ def format_of(suffix: str, holds: str, what: str, write: bool = False) -> tuple[
 
 
 SHIPPED = {
-    "calibrate": ("calibrate", "calibration", "photon_transfer", "foreign camera"),
+    "calibrate": ("calibrate", "calibration", "photon_transfer", "libpleno"),
     "data": ("dataset",),
     "deconvolution": ("incoherent", "deconvolved", "price of a response"),
     "inverse": (

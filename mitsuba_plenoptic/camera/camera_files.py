@@ -40,9 +40,9 @@ def stated_and_record(source: str | Path) -> tuple[Named, Any]:
         text = read_text(path, _LARGEST_FILE)
     with refusing(f"{path}: it is no JSON file:", *NO_RECORD):
         values = json.loads(text)
-    # Names in each configuration of libpleno, and in each calibration by LFToolbox.
-    if isinstance(values, dict) and (set(values) >= {"mla", "main_lens", "sensor"} or "EstCamIntrinsicsH" in values):
-        read = hook("foreign camera", str(path))
+    # Names in each configuration of libpleno.
+    if isinstance(values, dict) and set(values) >= {"mla", "main_lens", "sensor"}:
+        read = hook("libpleno", str(path))
         with naming(path):
             return read(values).to_dict(), None
     refuse_if(

@@ -227,7 +227,7 @@ class CameraGeometry(CameraParameters):
         return displacement if displacement.is_smooth or displacement.deviation else None
 
     @cached_property
-    def most_displaced(self) -> tuple[float, float]:
+    def most_displaced(self) -> Pair:
         """Largest smooth displacement of a lens over the detector in mm, and largest change per mm; 0 if regular."""
         half = np.array([self.detector_width, self.detector_height]) / 2
         moved = self.lattice.displacement
@@ -291,7 +291,7 @@ class CameraGeometry(CameraParameters):
         return wavelength / self.space_behind[1]
 
     @property
-    def space_behind(self) -> tuple[float, float]:
+    def space_behind(self) -> Pair:
         """Distance in mm from the MLA to the detector, and index of the medium there; 0 and 1 without an array."""
         return (self.detector_distance, self.mla_medium) if self.has_array else (0.0, 1.0)
 

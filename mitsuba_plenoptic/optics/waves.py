@@ -21,6 +21,7 @@ from ..runtime import (
     Array,
     Doubles,
     Field,
+    Pair,
     Shape,
     Sizes,
     active_backend,
@@ -186,7 +187,7 @@ class StepGuard:
             # if the rows do not represent the field, its power in the rim before the step is unknown
             guards.check_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
-    def _of_field(self, field: Field) -> tuple[float, float]:
+    def _of_field(self, field: Field) -> Pair:
         """Total power, and power in the rim of the window."""
         rows = field[:: _row_step(field)]
         high, wide = (rim(size) for size in field.shape)
@@ -258,15 +259,15 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
 def advance(
     spectrum: Field,
-    pitch: float | tuple[float, float],
+    pitch: float | Pair,
     distance: float,
     wavelength: float,
     *,
-    shift: tuple[float, float],
+    shift: Pair,
     part: Shape | None,
     paraxial: bool,
     beyond_paraxial: bool,
-    response: Callable[[Any, Any], Any] | None,
+    response: Callable | None,
 ) -> Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
@@ -284,11 +285,11 @@ def advance(
 def _advance(
     packed: Any,
     shape: Sizes,
-    pitch: float | tuple[float, float],
+    pitch: float | Pair,
     distance: float,
     wavelength: float,
     part: Shape | None = None,
-    response: Callable[[Any, Any], Any] | None = None,
+    response: Callable | None = None,
     **how: Any,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
@@ -313,7 +314,7 @@ def transfer(
     distance: float,
     wavelength: float,
     *,
-    shift: tuple[float, float] = (0.0, 0.0),
+    shift: Pair = (0.0, 0.0),
     paraxial: bool = False,
     beyond_paraxial: bool = False,
 ) -> Any:

@@ -135,7 +135,7 @@ class PixelIntegrals:
         self._axes = along_x, along_y
         self._terms = terms or [(along_y.weights, along_x.weights)]
         # Made when they are first needed, those of the adjoint too.
-        self._matrices: dict[bool, list[list]] = {}
+        self._matrices: dict[bool, list] = {}
 
     @classmethod
     def of(

@@ -454,7 +454,7 @@ class TableNodes:
         return mi.UInt(dr.floor(position + chance))
 
 
-class Table(list[NDArray[Any]]):
+class Table(list[NDArray]):
     """Coefficient arrays of a table's nodes, of 16 bits, one after another in `memory` (places, numbers), in packets.
 
     Zeros follow the arrays, for rays outside all nodes. Other tables may fill other columns of the memory.
@@ -464,7 +464,7 @@ class Table(list[NDArray[Any]]):
         self,
         shapes: Sequence[Sizes],
         # Memory, and the table's first packet in each row; by default, memory for this table alone.
-        memory: NDArray[Any] | None = None,
+        memory: NDArray | None = None,
         first: int = 0,
     ):
         self.packets = -(-shapes[0][-1] // _PACKET)

@@ -141,7 +141,7 @@ class CameraSum(SignedRaySum):
         ]
         return [(change, density), ([a * dx for a in values], dx), ([a * dy for a in values], dy), (values, None)]
 
-    def _cell_means(self, pixels: Any, of_rays: list, *light: Any) -> list[list[list]]:
+    def _cell_means(self, pixels: Any, of_rays: list, *light: Any) -> list[list]:
         """Return the mean values, and the changes of the direction cosines of the cells' light."""
         _, first, _ = self._cells_of(pixels)
         # All rays of a cell and a lens have nearly the same direction.

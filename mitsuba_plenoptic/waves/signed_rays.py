@@ -482,9 +482,9 @@ class SignedRaySum(RaySum):
         of_rays: list,
         radiance: list,
         controls: list[Pair],
-        mixtures: Sequence[tuple[list[int], list[list]]],
+        mixtures: Sequence[tuple[list[int], list]],
         numbers: Sequence[int],
-    ) -> list[list[list]]:
+    ) -> list[list]:
         """Return the mean values over the rays of each cell of some pixels, for each image of some nodes.
 
         `of_rays` are the rays' weights and the arguments of their coefficients.
@@ -500,7 +500,7 @@ class SignedRaySum(RaySum):
             for indices, weights in mixtures
         ]
 
-        def add(k: Any, means: list[list[list]]) -> tuple[Any, list[list[list]]]:
+        def add(k: Any, means: list[list]) -> tuple[Any, list[list]]:
             weight, *arguments = (at_rays(values, first + k) for values in of_rays)
             even = ((start + k) & 1) == 0
             result = []

@@ -95,7 +95,7 @@ class Node:
     # drawn wavelengths, the values are those at the edges of the strata.
     weights: Doubles
 
-    def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list[list]]:
+    def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list]:
         """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
         if rays is None:
             indices = np.flatnonzero(self.weights.any(0)).tolist()

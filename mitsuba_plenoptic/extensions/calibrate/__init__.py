@@ -7,7 +7,7 @@ from ...extension import Extension
 
 EXTENSION = Extension(
     modules={"calibration": "calibration"},
-    hooks={"foreign camera": "calibrated_cameras:foreign_camera"},
+    hooks={"libpleno": "calibrated_cameras:libpleno_camera"},
     commands={
         f"calibrate {step}": "calibrate_command" for step in ("centres", "corners", "boards", "white", "evaluate")
     },

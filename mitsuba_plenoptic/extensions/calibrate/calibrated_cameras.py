@@ -1,4 +1,4 @@
-"""Calibrated cameras as JSON files, configurations of libpleno and COMPOTE, and calibrations by LFToolbox.
+"""Calibrated cameras as JSON files, and configurations of libpleno and COMPOTE.
 
 A calibrated camera is a file of `PlenopticCamera.to_json` with an additional object ``calibration``: how the data count
 lenses and pixels, the fitted numbers with their deviations, the poses, and the residuals. Every command that takes a
@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 
 from ...camera import PlenopticCamera, camera_and_record
 from ...errors import NO_RECORD, naming, refuse_if, refusing, require_count, require_number, short_repr
 from ...lenses import undistort
 from ...runtime import Array, Named, write_text
-from ...views import camera_of as camera_of_light_field
 from .board_model import camera_of
 from .calibration_result import Calibration
 from .observations import Board, LensIndex
@@ -109,11 +107,6 @@ def lens_index(record: Any) -> LensIndex | None:
     return LensIndex(float(odd_rows), int(row_sign), first)
 
 
-def foreign_camera(values: Named) -> PlenopticCamera:
-    """Return the camera of the object in a file of libpleno, COMPOTE or LFToolbox."""
-    return lftoolbox_camera(values) if "EstCamIntrinsicsH" in values else libpleno_camera(values)
-
-
 def libpleno_camera(values: Named) -> PlenopticCamera:
     """Return the camera of a configuration that libpleno and COMPOTE write (``intrinsics.js``).
 
@@ -182,81 +175,3 @@ def _inverse_distortion(distortion: Array, reach: float) -> Array:
     matrix = np.stack([np.ravel(undistort(u, v, e)) - np.ravel([u, v]) for e in np.eye(5)], axis=-1)
     scale = np.abs(matrix).max(0)
     return np.linalg.lstsq(matrix / scale, np.ravel([x - u, y - v]))[0] / scale
-
-
-def lftoolbox_camera(values: Named) -> PlenopticCamera:
-    """Return a camera that sees as a light field of LFToolbox does, from that program's calibration (``CalInfo.json``).
-
-    A sample (i, j, k, l) of the light field is the ray of position and slope H (i, j, k, l, 1), in metres (D. G.
-    Dansereau, O. Pizarro, S. B. Williams, "Decoding, calibration and rectification for lenselet-based plenoptic
-    cameras", 2013). Rays tell products of lengths in a camera alone: the width of pixels is arbitrary, and the camera's
-    picture is the light field's mosaic of lenses. Distances count from the pupil, where positions do not depend on k
-    and l. Distortion of slopes is that of chief rays here, to first order.
-    """
-    with refusing("it is no calibration by LFToolbox:", IndexError, OverflowError, *NO_RECORD):
-        matrix = np.array([_numbers(row) for row in values["EstCamIntrinsicsH"]]).reshape(5, 5)
-        distortion = np.array(_numbers(np.ravel(values.get("EstCamDistortionV") or np.zeros(5)))).reshape(5)
-        rows_of_views, views, rows, columns = (int(size) for size in values["CalOptions"]["LFSize"][:4])
-    refuse_if(rows_of_views != views, f"LFSize: {views} x {rows_of_views} views: a light field is as wide as high")
-    axis = np.arange(2)
-    step, turn = matrix[axis, axis], matrix[axis + 2, axis]
-    shear, slope = matrix[axis, axis + 2], matrix[axis + 2, axis + 2]
-    # From the plane of positions to the pupil.
-    step = 1e3 * (step - shear / slope * turn)
-    refuse_if(not (step > 0).all() or not (slope > 0).all(), "EstCamIntrinsicsH: views or lenses count backwards")
-    # Lens on the axis, from 0, as the middle view sees it.
-    middle = -(matrix[2:4, 4] + turn * (views + 1) / 2) / slope - 1
-    b = views * step.mean() / slope.mean() / 200
-    pitch = slope * b
-    pixel = float(pitch.mean() / (views - pitch.mean() / step.mean()))
-    z = float(pixel * b / step.mean())
-    f = 1 / (1 / b - float(turn.mean() / step.mean()))
-    offset = (np.round(middle) - middle) * pitch
-    radial = distortion[:3] / b ** np.array([2, 4, 6])
-    principal = views * middle + (views - 1) / 2
-    numbers = [f, b, z, *pitch, 0, *offset, 0, 0, *principal, *radial, *(-radial[0] * b * distortion[3:])]
-    like = PlenopticCamera(
-        focal_length=f,
-        aperture_radius=views * float(step.mean()) / 2,
-        mla_focal_length=z,
-        detector_width=pixel * views * columns,
-        resolution=(views * columns, views * rows),
-    )
-    return camera_of(np.array(numbers), like)
-
-
-def write_lftoolbox_calibration(path: str | Path, lf: xr.DataArray) -> None:
-    """Write the camera of a light field as a calibration of the Light Field Toolbox for MATLAB, ``CalInfo.json``.
-
-    Parameters
-    ----------
-    path : path
-        File to write.
-    lf : xarray.DataArray
-        A light field with a camera in front of which planes are in focus, or infinity, as `decode` gives it.
-    """
-    camera = camera_of_light_field(lf)
-    focus = camera.focus_distance
-    refuse_if(not focus > 0, "camera: no real plane is in focus, on which rays of LFToolbox's model are counted")
-    matrix = np.zeros((5, 5))
-    matrix[4, 4] = 1
-    # The camera's x and y are LFToolbox's reversed; its indices begin with 1.
-    for axis, (angular, spatial) in enumerate((("u", "s"), ("v", "t"))):
-        first, step = lf[angular].values[0], np.diff(lf[angular].values[:2])[0]
-        matrix[axis, [axis, 4]] = -1e-3 * step, 1e-3 * (step - first)
-        place, pitch = lf[spatial].values[0], np.diff(lf[spatial].values[:2])[0]
-        far = 1.0 if math.isinf(focus) else focus
-        matrix[axis + 2, [axis + 2, 4]] = -pitch / far, (pitch - place) / far
-        if far == focus:
-            matrix[axis + 2, [axis, 4]] += step / far, (first - step) / far
-    b = camera.mla_distance
-    radial = np.array(camera.distortion[:3]) * b ** np.array([2, 4, 6])
-    tangential = np.array(camera.distortion[3:])
-    refuse_if(tangential.any() and not radial[0], "distortion: LFToolbox has no tangential distortion without k1")
-    centre = -tangential * b / (radial[0] or 1.0)
-    record = {
-        "EstCamIntrinsicsH": matrix.tolist(),
-        "EstCamDistortionV": [*radial, *centre],
-        "CalOptions": {"LFSize": [*lf.shape[:4], lf.shape[4] + 1 if lf.ndim == 5 else 2]},
-    }
-    write_text(path, json.dumps(record, indent=1) + "\n", ".json")

@@ -3,7 +3,7 @@
 from .blur import Blur
 from .board_fit import calibrate, evaluate
 from .boards import board_scene
-from .calibrated_cameras import read_camera, write_calibration, write_lftoolbox_calibration
+from .calibrated_cameras import read_camera, write_calibration
 from .calibration_result import Calibration, Evaluation
 from .detect import detect_corners, write_corners
 from .observations import Board, LensIndex, Table, concatenate, read_centres, read_corners
@@ -37,5 +37,4 @@ __all__ = [
     "write_calibration",
     "write_centres",
     "write_corners",
-    "write_lftoolbox_calibration",
 ]

@@ -11,7 +11,7 @@ import scipy.ndimage
 from ... import choices
 from ...errors import refuse_if, warn
 from ...io import EXPOSED, RECORDED, Capture, read_numbers
-from ...runtime import Array, as_pixels
+from ...runtime import Array, Pair, as_pixels
 from ...views import read_recording
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
@@ -84,7 +84,7 @@ def values_of(path: Path) -> Array | Capture:
     return read_recording(path, linear=True)
 
 
-def level_and_noise(values: Array) -> tuple[float, float]:
+def level_and_noise(values: Array) -> Pair:
     """Return the median of values and the deviation of usual ones from it."""
     level = float(np.median(values))
     return level, 1.4826 * float(np.median(np.abs(values - level)))

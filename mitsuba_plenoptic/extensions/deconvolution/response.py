@@ -630,7 +630,7 @@ def _pupil_of(lens: MainLens, vignetting: Vignetting | None, pupil: Any, place: 
 
 
 def _dimmed(
-    camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray[Any] | None, wavelength: float
+    camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray | None, wavelength: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return the light of pixels of some lenses, that with the pupil of the middles of their zones, or whole, and far.
 

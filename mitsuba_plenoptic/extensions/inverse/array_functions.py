@@ -86,9 +86,9 @@ class Latest:
     """
 
     function: SmoothFunction
-    copied: Callable[[Any], Any]
+    copied: Callable
     equal: Callable[[Any, Any], bool]
-    taken: Callable[[Any], Any]
+    taken: Callable
 
     def __post_init__(self) -> None:
         self.shape = self.function.shape

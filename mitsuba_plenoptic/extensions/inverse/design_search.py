@@ -8,7 +8,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, short_repr
-from ...runtime import Doubles
+from ...runtime import Doubles, Pair
 from .merit import Gradient
 from .point_rays import vector_of
 
@@ -51,7 +51,7 @@ class Design:
 def maximise(
     figure: Figure,
     camera: PlenopticCamera,
-    bounds: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Pair],
     *,
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,

@@ -175,7 +175,7 @@ class ResponseSum(RaySum):
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
-    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list]:
+    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list:
         """Return the values of each lens's photodiodes for each image, from the rays of all surrounding lenses."""
         tables = self._tables
         size = self._across**2

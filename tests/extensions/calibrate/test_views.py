@@ -8,7 +8,7 @@ import pytest
 import view_cases as cases
 from refusals import refuses
 
-from mitsuba_plenoptic import Capture, Checkpoint, PlenopticCamera, calibrate, decode, render_capture, write_capture
+from mitsuba_plenoptic import Capture, Checkpoint, calibrate, decode, render_capture, write_capture
 from mitsuba_plenoptic import calibration as cal
 from mitsuba_plenoptic.calibration import Board, board_scene, detect_view_corners
 from mitsuba_plenoptic.extensions.calibrate import picture_corners
@@ -16,9 +16,7 @@ from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, PRINCIPAL,
 from mitsuba_plenoptic.extensions.calibrate.detect import camera_centres
 from mitsuba_plenoptic.extensions.calibrate.observations import find_lens_index, observations
 from mitsuba_plenoptic.io import checkpoints
-from mitsuba_plenoptic.lenses import undistort
 from mitsuba_plenoptic.views import disparity, open_light_field, save_light_field, white_image
-from mitsuba_plenoptic.views.light_field_files import of_camera
 
 NOISE = 0.03
 TRUE = numbers_of(cases.CAMERA) + np.array([0] * 8 + [0.01, -0.02, 12, -8, 2e-3, 1e-5, 1e-7, 1e-5, -2e-5])
@@ -292,33 +290,3 @@ def test_light_fields_without_raw_pictures_become_metric(pictures, tmp_path, run
     lf = open_light_field(paths[0], camera=cal.read_camera(output)[0])
     for distance in (250.0, 400.0, 900.0):
         assert disparity(lf, distance) == pytest.approx(disparity(fields[0], distance), abs=0.02)
-
-
-@pytest.mark.parametrize("focus", [400.0, np.inf])
-def test_lftoolbox_reads_the_same_rays(focus, tmp_path):
-    sheet = {"f_number": 2.0, "lenses": (31, 24), "pixels_per_lens": 9, "pixel_size": 0.0014, "focal_length": 7.0}
-    camera = PlenopticCamera.matched(**sheet, focus_distance=focus, distortion=(-3e-3, 1e-4, 0, 2e-5, -1e-5))
-    lf = decode(Capture(np.ones((216, 279), np.float32), camera))
-    cal.write_lftoolbox_calibration(tmp_path / "CalInfo.json", lf)
-    values = json.loads((tmp_path / "CalInfo.json").read_text())
-    # Lens (20, 4) of view (2, 7), from 1: x to the right and y down there.
-    place, slope = np.split(np.array(values["EstCamIntrinsicsH"])[:4] @ [2, 7, 20, 4, 1], 2)
-    x, y = lf["u"].values[1], lf["v"].values[6]
-    np.testing.assert_allclose(1e3 * place, [-x, -y], rtol=1e-9, atol=1e-12)
-    aim = np.array([lf["s"].values[19], lf["t"].values[3]])
-    straight = aim if np.isinf(focus) else (aim - [x, y]) / focus
-    np.testing.assert_allclose(slope, -straight, rtol=1e-9)
-    # To first order in the distance of its centre from the axis.
-    k1, k2, k3, *centre = values["EstCamDistortionV"]
-    chief = np.array([[0.15, -0.1, 0.05, 0.0], [0.1, 0.12, -0.15, -0.1]])
-    away = chief - np.reshape(centre, (2, 1))
-    square = (away**2).sum(0)
-    theirs = away * (1 + k1 * square + k2 * square**2 + k3 * square**3) + np.reshape(centre, (2, 1))
-    ours = np.array(undistort(*(camera.mla_distance * chief), camera.distortion)) / camera.mla_distance
-    assert np.abs(theirs - ours).max() < 0.01 * np.abs(ours - chief).max()
-    again = cal.read_camera(tmp_path / "CalInfo.json")[0]
-    seen = of_camera(lf, again, tmp_path)
-    for name in "uvst":
-        np.testing.assert_allclose(seen[name], lf[name], rtol=1e-6, atol=1e-9)
-    scale = camera.mla_distance / again.mla_distance
-    np.testing.assert_allclose(np.array(again.distortion) / scale ** np.array([2, 4, 6, 1, 1]), camera.distortion)
