@@ -141,7 +141,7 @@ class CameraVector:
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
-    def limits(self, bounds: Mapping[str, Pair] | None) -> tuple[Doubles, Doubles]:
+    def limits(self, bounds: Mapping[str, Pair] | None) -> Pair:
         """Return the lowest and highest value of each component: `bounds`, or a range around the present values.
 
         Bounds of other parameters, in the wrong order, or that exclude the camera are refused.

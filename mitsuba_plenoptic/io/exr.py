@@ -14,6 +14,7 @@ from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
 from ..runtime import (
     Array,
     Named,
+    Pair,
     Shape,
     atomic_output,
     native_output_dropped,
@@ -93,7 +94,7 @@ def write_exr_parts(
         OpenEXR.File(written).write(str(temporary))
 
 
-def _window(x: int, y: int, columns: int, rows: int) -> tuple[Array, Array]:
+def _window(x: int, y: int, columns: int, rows: int) -> Pair:
     return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 

@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..optics import in_millimetres, rays, soft_edge
 from ..rays import follow_back
-from ..runtime import Doubles, Floats, require_memory
+from ..runtime import Doubles, Floats, Triple, require_memory
 from .splatting import pixel_rows
 
 
@@ -87,7 +87,7 @@ def is_known(camera: PlenopticCamera) -> bool:
     return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
 
 
-def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
+def tilt(camera: PlenopticCamera, distance: float) -> Triple:
     """Return the relative rise of radiance per mm of the MLA plane, 1 on the axis, for the scenes of `rising`.
 
     The farthest position on the bins that counts, and a pixel's displacement there per pupil displacement, are also

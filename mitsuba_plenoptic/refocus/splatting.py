@@ -22,7 +22,7 @@ from ..camera import PlenopticCamera
 from ..design import lens_directions, lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
-from ..runtime import Array, Doubles, Flags, Shape, array_module, require_memory
+from ..runtime import Array, Doubles, Flags, Shape, Triple, array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
@@ -168,7 +168,7 @@ def _in_bins(blur: Array, fine: int) -> Array:
 
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: Shape
-) -> tuple[Array, Array, Array]:
+) -> Triple:
     """Return sample, lens type and flat index of the pixels whose ray passes the pupil and lands on the bins.
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.

@@ -199,7 +199,7 @@ def _transfer(lens: RealLens, height: float, distance: float, frequencies: Seque
     return np.array(contrasts) / np.vdot(whole, whole).real
 
 
-def ray_paths(lens: RealLens, height: float, count: int = 7) -> tuple[Doubles, Doubles]:
+def ray_paths(lens: RealLens, height: float, count: int = 7) -> Pair:
     """Return ray paths, in a plane with the axis, from a position on the MLA through all surfaces to before the lens.
 
     Parameters

@@ -85,7 +85,7 @@ class LensFunctions:
         """Coefficients (monomials, functions) of the functions."""
         return self.triangle @ self.functions
 
-    def best(self, count: int, tolerance: float, points: tuple[Doubles, Doubles], images: Doubles) -> LensFunctions:
+    def best(self, count: int, tolerance: float, points: Pair, images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
         At most `count` combinations are returned.
@@ -193,7 +193,7 @@ def legendre(x: Any, degree: int) -> list:
     return series
 
 
-def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:
+def even_polynomials(parts: Sequence[Pair], degree: int) -> list[LensFunctions]:
     """Return polynomials that are orthonormal over each of some sets of points, all of the largest degree possible.
 
     The degree is at most `degree`, and less where points lie so that single precision does not suffice for it.

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ...camera import PlenopticCamera
-from ...runtime import Array
+from ...runtime import Array, Pair
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
 from .board_model import NAMES, UNITS, centres_of, predict_centres
@@ -238,13 +238,13 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
     return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
 
 
-def field_cells(pixel: Array, side: float) -> tuple[Array, Array]:
+def field_cells(pixel: Array, side: float) -> Pair:
     """Return the middles of the occupied squares of a grid, in pixels, and the index of the square of each position."""
     cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
     return (cell + 0.5) * side - 0.5, group.ravel()
 
 
-def group_means(values: Array, group: Array) -> tuple[Array, Array]:
+def group_means(values: Array, group: Array) -> Pair:
     """Return the number of rows and the mean value of each group."""
     count = np.bincount(group)
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]

@@ -100,7 +100,7 @@ def clipped(name: str, picture: Array) -> Array:
     return highest & (highest.mean() >= 1e-4)
 
 
-def stuck(light: Array, noise: float) -> tuple[Array, Array]:
+def stuck(light: Array, noise: float) -> Pair:
     """Return single dead pixels, and hot ones: four times darker and brighter than all their neighbours.
 
     Blurred light does not differ so much. By noise alone none does, as the difference must be ten times the noise, too.

@@ -24,7 +24,7 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Doubles, Floats, Integers, Job, Part, active_backend, add, turn
+from ...runtime import Box, Doubles, Floats, Integers, Job, Pair, Part, active_backend, add, turn
 from ...views import lens_numbers, lenses_of_pixels, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
@@ -159,7 +159,7 @@ def ray_batches(across: int, cells: BinCells, distance: float, cell: Integers) -
 
 
 @functools.cache
-def _pairs(count: int) -> tuple[Doubles, Doubles]:
+def _pairs(count: int) -> Pair:
     """Return points (n, 2) of the unit square, paired with points (2, n) of the unit disc."""
     pairs = scene_points.sample_pairs(count)
     angle = 2 * np.pi * pairs[:, 3]

@@ -154,7 +154,7 @@ def coarse_fit(
 
 def _nearest(
     vector: CameraVector,
-    limits: tuple[Doubles, Doubles],
+    limits: Pair,
     models: RayModels,
     views: list[View],
     blur: float,
