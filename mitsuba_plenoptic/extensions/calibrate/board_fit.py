@@ -125,9 +125,7 @@ def calibrate(
     numbers = np.append(numbers, np.zeros(shapes.shape[1]))
     weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
     fit = adjust(problem, numbers, poses, weights=weights)
-    steps = 0
     for _ in range(10):
-        steps += fit.steps
         before = weights
         weights = _weights(problem, fit, frames)
         if in_views:
@@ -187,7 +185,6 @@ def calibrate(
         dict(zip(NAMES, deviations[:count].tolist(), strict=True)),
         (covariance / np.outer(deviations, deviations))[:count, :count],
         centre_residuals,
-        steps + fit.steps + final.steps,
         blur,
         disagreement,
         by_frames,

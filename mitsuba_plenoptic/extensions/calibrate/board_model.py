@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera, part_units, parts_of, with_parts
 from ...lenses import undistort
-from ...runtime import Array
+from ...runtime import Array, Pair, Triple
 
 CALIBRATED = (
     "focal_length",
@@ -109,7 +109,7 @@ def _inverse(matrix: Array) -> Array:
     return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
 
 
-def _axes(numbers: Array) -> tuple[Array, Array]:
+def _axes(numbers: Array) -> Pair:
     """Return the steps of the lattice's axes, columns of (2, 2), in mm, and the slopes of the tilted array."""
     angle = np.deg2rad(numbers[5])
     rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -132,14 +132,14 @@ def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array
     return c, c @ slopes, c_by, h_by
 
 
-def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> tuple[Array, Array]:
+def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> Pair:
     """Return positions on the detector and their derivatives, converted to pixels."""
     by_numbers = p_by / pixel_size
     by_numbers[:, :, PRINCIPAL] += np.eye(2)
     return p / pixel_size + numbers[PRINCIPAL], by_numbers
 
 
-def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> tuple[Array, Array]:
+def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> Pair:
     r"""Return the centres of micro-images, where the chief ray of each lens meets the detector.
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
@@ -171,7 +171,7 @@ def predict(
     pixel_size: float,
     row_ratio: float,
     grid: Array | None = None,
-) -> tuple[Array, Array, Array]:
+) -> Triple:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
     With a grid of lenses in pixels, (3, 2), corners are seen in views instead: a view is what pixels at one place
@@ -295,7 +295,7 @@ def numbers_of(camera: PlenopticCamera) -> Array:
     return np.concatenate([*values.values(), principal, camera.distortion])
 
 
-def _undistorted(m: Array, distortion: Array) -> tuple[Array, Array, Array]:
+def _undistorted(m: Array, distortion: Array) -> Triple:
     """Return the undistorted positions U(m) in mm for positions (n, 2), with derivatives by these and the distortion.
 
     The derivatives have the shapes (n, 2, 2) and (n, 2, 5).

@@ -99,7 +99,7 @@ def on_pictures(pictures: Sequence[Path], corners: Corners) -> plots.Plot:
         step = -(-max(image.shape) // 200)
         rows, columns = np.array(image.shape) // step
         coarse = image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean((1, 3))
-        plots.show(axes[frame], coarse, f"{frame}", peak=float(np.quantile(coarse, 0.99)))
+        plots.show(axes[frame], coarse, f"{frame}")
         seen = corners.keep(corners["frame"] == frame)
         x, y = (seen[name] / step for name in ("xy" if seen.in_views else "uv"))
         axes[frame].plot(x, y, ",", color=plots.ACCENT)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -95,8 +95,6 @@ class Calibration:
         Correlations of the parameters' errors.
     centre_residuals : (n, 2) array
         Residuals of the given centres.
-    steps : int
-        Number of solutions of the linear system.
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
@@ -124,15 +122,14 @@ class Calibration:
     deviations: dict[str, float]
     correlation: Array
     centre_residuals: Array
-    steps: int
-    blur: Blur | None = None
-    disagreement: float = 1.0
-    by_frames: bool = False
-    centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
-    prediction_deviation: float = 0.0
-    held_out: Array = field(default_factory=lambda: np.zeros(1))
-    assumed: dict[str, float] = field(default_factory=dict)
-    board_heights: Array = field(default_factory=lambda: np.zeros(0))
+    blur: Blur | None
+    disagreement: float
+    by_frames: bool
+    centre_outliers: Array
+    prediction_deviation: float
+    held_out: Array
+    assumed: dict[str, float]
+    board_heights: Array
 
     @property
     def centre_error(self) -> float | None:
@@ -190,7 +187,7 @@ class ResidualMap:
         Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
         micro-image in pixels; ``view``: least and greatest distance of its pixels
         from the lenses' centres; ``field``: middle of a square of the detector, in pixels;
-        ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
+        ``depth``: least and greatest distance of the corners, in mm.
     count : (groups,) int array
         Number of observations in each group.
     mean : (groups, 2) array
@@ -207,7 +204,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Return the residuals of a calibration's corners in groups by lens, view, field, depth or pose.
+    """Return the residuals of a calibration's corners in groups by lens, view, field or depth.
 
     `parts` are squares of the field along the detector's rows, or ranges of depth with as many observations each.
     """
@@ -223,15 +220,13 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
         key = np.stack([key, key], axis=-1)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
-    elif by == "depth":
+    else:
         depth = placed(board.places(corners["cluster"]), evaluation.poses, evaluation.pose)[:, 2]
         group = np.empty_like(group)
         ranges = [rows for rows in np.array_split(np.argsort(depth, kind="stable"), parts) if len(rows)]
         for index, rows in enumerate(ranges):
             group[rows] = index
         key = np.array([depth[rows[[0, -1]]] for rows in ranges])
-    else:
-        key = evaluation.frames[:, None]
     group = group.ravel()
     count, mean = group_means(-evaluation.residuals, group)
     square = np.bincount(group, (evaluation.residuals**2).sum(1)) / count
@@ -393,7 +388,7 @@ def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance:
     moved = []
     for step in (vectors * np.sqrt(values.clip(0))).T * scale:
         poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
-        moved.append(Adjusted(fit.numbers + step, fit.poses + poses, fit.cost, 0))
+        moved.append(Adjusted(fit.numbers + step, fit.poses + poses, fit.cost))
     return moved
 
 

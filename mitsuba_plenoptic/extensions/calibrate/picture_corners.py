@@ -11,14 +11,14 @@ import xarray as xr
 from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
-from ...design import focus_types
+from ...design import focus_type
 from ...errors import InputError, naming, refuse_if
 from ...io import RECORDED, Capture, Checkpoint, digest
 from ...runtime import Array, Progress
 from ...views import open_light_field, pixels_around, read_recording
 from ..raw.lytro_file import nearest_white
 from .detect import camera_centres, detect_corners, even_colours
-from .observations import CORNER_COLUMNS, DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, Table, concatenate
+from .observations import DOUBTFUL_COLUMN, Board, Table, concatenate
 from .view_corners import detect_view_corners
 from .white_centres import find_centres
 
@@ -42,12 +42,25 @@ def corners_of_pictures(
         camera = camera_of_views(lf)
         light, centres = _lenses_together(lf["weight"]), camera_centres(camera)
     else:
-        camera, light, centres = _with_white(paths[0], white, camera, centres, linear)
-    is_unfocused = focus_types(camera)[0] == "unfocused"
+        if white is None:
+            raise InputError("--white: pictures need a white picture of the same camera, or a folder of them")
+        recording = read_recording(paths[0], linear)
+        camera = camera or getattr(recording, "camera", None)
+        if camera is None:
+            raise InputError(f"--camera: {paths[0]} does not state its camera; give that of the data sheet")
+        if white.is_dir():
+            if not isinstance(recording, Capture):
+                raise InputError(f"{white}: {paths[0]} states no zoom and focus, by which to choose a white picture")
+            white = nearest_white(white, recording)
+        light = even_colours(grey(read_recording(white, linear)))
+        if centres is None:
+            with naming(white):
+                centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
+    is_unfocused = focus_type(camera) == "unfocused"
     detect = partial(detect_view_corners, camera=camera) if is_unfocused else detect_corners
-    names = VIEW_COLUMNS if is_unfocused else CORNER_COLUMNS
-    known = {"size": [board.columns, board.rows], "lattice": camera.mla_lattice, "unfocused": is_unfocused}
-    found = checkpoint.begin_arrays(**known, white=digest(light, *centres.columns.values())) or {}
+    # On which the corners in a picture depend, but for the picture.
+    facts = {"board": f"{board.columns}x{board.rows}", "lattice": camera.mla_lattice, "unfocused": is_unfocused}
+    found = checkpoint.begin_arrays(**facts, white=digest(light, *centres.columns.values())) or {}
     progress(1, len(paths) + 1)
     first = None
     tables = []
@@ -66,31 +79,10 @@ def corners_of_pictures(
             table = detect(image, light, centres, board, name=str(path))
             found |= {f"{key}.{name}": values for name, values in table.columns.items()}
             checkpoint.save_arrays(partial(dict, found))
-        columns = {name: found[f"{key}.{name}"] for name in names}
+        columns = {name.partition(".")[2]: values for name, values in found.items() if name.startswith(key)}
         tables.append(Table(str(path), columns | {"frame": np.full(len(columns["u"]), frame)}))
         progress(frame + 2, len(paths) + 1)
     return camera, concatenate(tables), centres
-
-
-def _with_white(
-    path: Path, white: Path | None, camera: PlenopticCamera | None, centres: Table | None, linear: bool
-) -> tuple[PlenopticCamera, Array, Table]:
-    """Return the camera of a raw picture as it is known, its white picture, and centres of micro-images."""
-    if white is None:
-        raise InputError("--white: pictures need a white picture of the same camera, or a folder of them")
-    first = read_recording(path, linear)
-    camera = camera or getattr(first, "camera", None)
-    if camera is None:
-        raise InputError(f"--camera: {path} does not state its camera; give that of the data sheet")
-    if white.is_dir():
-        if not isinstance(first, Capture):
-            raise InputError(f"{white}: {path} states no zoom and focus, by which to choose a white picture")
-        white = nearest_white(white, first)
-    light = even_colours(grey(read_recording(white, linear)))
-    if centres is None:
-        with naming(white):
-            centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
-    return camera, light, centres
 
 
 def is_light_field(path: Path) -> bool:

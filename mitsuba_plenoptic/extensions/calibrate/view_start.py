@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Triple
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .board_model import NAMES, PRINCIPAL
 from .calibration_result import group_means
@@ -23,7 +23,7 @@ from .observations import Board, placed
 from .start import first_numbers, thinned
 
 
-def central_view(corner: Array, arm: Array, place: Array) -> tuple[Array, Array, Array]:
+def central_view(corner: Array, arm: Array, place: Array) -> Triple:
     """Return the corners that are seen, places in the central view with disparities, and rows that agree with these.
 
     A plane's disparity is linear over its picture. Shapes: `corner` (n,), the number of the row's corner; `arm`,
@@ -67,7 +67,7 @@ def board_views(problem: Problem, frames: Array, principal: Array) -> tuple[list
     return maps, moving, good
 
 
-def view_start(problem: Problem, board: Board, start: PlenopticCamera, frames: Array) -> tuple[Array, Array, Array]:
+def view_start(problem: Problem, board: Board, start: PlenopticCamera, frames: Array) -> Triple:
     """Return start values of camera and poses, and a mask of rows that agree with the others of their board.
 
     The result has the shape (17,), (poses, 6), (n,).

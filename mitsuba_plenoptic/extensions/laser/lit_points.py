@@ -24,7 +24,7 @@ from ...fields import OpticalSystem
 from ...optics import guards, in_millimetres
 from ...points import radiance_weight
 from ...rays import LensWindow
-from ...runtime import Doubles, drjit_array, require_memory
+from ...runtime import Doubles, Triple, drjit_array, require_memory
 from ...scene import random_numbers, world_ray
 
 _COARSE = 64
@@ -109,7 +109,7 @@ class LaserScene:
             guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
         return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
 
-    def _lit(self, positions_on_array: Doubles, seed: int) -> tuple[Doubles, Doubles, Doubles]:
+    def _lit(self, positions_on_array: Doubles, seed: int) -> Triple:
         """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim hidden from each.
 
         `positions_on_array` are (n, 2).
