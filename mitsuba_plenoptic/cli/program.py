@@ -23,7 +23,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from ..errors import InputError, at_shell, did_you_mean, relation, require_choice, short_repr
 from ..extension import entries, missing
-from ..runtime import INTERRUPTED, Named, plain_lines
+from ..runtime import INTERRUPTED, plain_lines
 from .signatures import documented, help_text, summary
 
 PROGRAM = "mitsuba-plenoptic"
@@ -174,7 +174,7 @@ def _be_verbose(flag: bool) -> None:
         _logger.setLevel(logging.DEBUG)
 
 
-_FOR_ALL: Named = {
+_FOR_ALL: dict[str, Any] = {
     name: Annotated[
         bool,
         typer.Option(

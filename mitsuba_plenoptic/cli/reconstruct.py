@@ -12,7 +12,7 @@ import typer
 from ..choices import PICTURES, VOLUMES
 from ..errors import refuse_if
 from ..refocus_options import Option, all_options
-from ..runtime import Named, in_words, progress_bar
+from ..runtime import in_words, progress_bar
 from . import options
 from .inputs import batches_on, drawing_of, named_camera, refuse_options, require_in_sight, require_linear, require_png
 from .stopping import checkpoint_of, resumable
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..io import Capture
 
 
-def _method_options() -> Named:
+def _method_options() -> dict[str, Any]:
     """Return an option of the command for each argument that only some methods take."""
     command_options = {}
     for name, option in all_options().items():
@@ -58,7 +58,7 @@ def reconstruct(
     estimate: options.Estimate = False,
     variant: options.Variant | None = None,
     picture: options.Picture,
-    of_method: Annotated[Named, _method_options()],
+    of_method: Annotated[dict[str, Any], _method_options()],
 ) -> None:
     """Refocus a capture to one or several distances.
 
@@ -233,7 +233,7 @@ def _value_of(option: Option, value: Any) -> Any:
     return int(value) if short and int in option.types else value
 
 
-def _described(facts: Named) -> str:
+def _described(facts: dict[str, Any]) -> str:
     """Return facts in words: the resolution outside the range of refocusing; of a deconvolution how it ended."""
     if "iterations" not in facts:
         if facts.get("in_range", True):

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..choices import RAW_SUFFIXES, Model, Unit
-from ..runtime import Named, progress_bar
+from ..runtime import progress_bar
 from . import options
 from .inputs import batches_on, open_scene, parse_definitions, refuse_options
 from .signatures import options_of
@@ -180,8 +180,8 @@ def expose(
     capture: options.CaptureFile,
     *,
     output: Annotated[Path, options.ends_in(".exr", ".png", ".tif", ".tiff")],
-    exposure: Annotated[Named, options_of("detector.record:expose", "photons", "seed")],
-    detector: Annotated[Named, options_of("detector.record:Detector")],
+    exposure: Annotated[dict[str, Any], options_of("detector.record:expose", "photons", "seed")],
+    detector: Annotated[dict[str, Any], options_of("detector.record:Detector")],
 ) -> None:
     """Add what a real detector does: noise, saturation, digital numbers.
 

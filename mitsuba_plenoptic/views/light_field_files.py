@@ -124,11 +124,10 @@ def open_light_field(
 def of_camera(lf: xr.DataArray, camera: PlenopticCamera, path: Path) -> xr.DataArray:
     """Return a light field with the camera that its mosaic of lenses was calibrated as."""
     bins = bin_grid(camera)
-    pixels = lf.sizes["u"] * bins.shape[1], lf.sizes["v"] * bins.shape[0]
+    v, u, t, s = lf.shape[:4]
     refuse_if(
-        bins.shape != lf.shape[2:4] or camera.crop_size != pixels,
-        f"{path}: its mosaic of lenses has {lf.sizes['u'] * lf.sizes['s']} x {lf.sizes['v'] * lf.sizes['t']} pixels, "
-        f"the camera {camera.crop_size[0]} x {camera.crop_size[1]}",
+        bins.shape != (t, s) or camera.crop_size != (s * u, t * v),
+        f"{path}: its mosaic of lenses has {s * u} x {t * v} pixels, the camera's picture {camera.crop_size}",
     )
     return light_field(lf.values, lf["weight"].values, camera, bins, white=lf["white"].values)
 

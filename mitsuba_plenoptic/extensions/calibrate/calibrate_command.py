@@ -223,8 +223,8 @@ def boards(
                 )
             for frame, path in enumerate(sources):
                 rows = table.keep(table["frame"] == frame)
-                count = len(set(rows["cluster"]))
-                typer.echo(f"frame {frame}, {path.name}: {count} corners, seen {len(rows['u'])} times")
+                seen = f"{len(set(rows['cluster']))} corners, seen {len(rows['u'])} times"
+                typer.echo(f"frame {frame}, {path.name}: {seen}")
         result = calibration.calibrate(table, size, start, middles, fills_pupil=without_raw, bent=bent)
         calibration.write_calibration(output, result, size)
     if report:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from skimage.measure import block_reduce
 
 from ...report import pages, plots
 from ...runtime import Array
@@ -97,9 +98,7 @@ def on_pictures(pictures: Sequence[Path], corners: Corners) -> plots.Plot:
         image = grey(recorded(path, True))
         # So coarse that micro-images are not told apart.
         step = -(-max(image.shape) // 200)
-        rows, columns = np.array(image.shape) // step
-        coarse = image[: rows * step, : columns * step].reshape(rows, step, columns, step).mean((1, 3))
-        plots.show(axes[frame], coarse, f"{frame}")
+        plots.show(axes[frame], block_reduce(image, step, np.mean), f"{frame}")
         seen = corners.keep(corners["frame"] == frame)
         x, y = (seen[name] / step for name in ("xy" if seen.in_views else "uv"))
         axes[frame].plot(x, y, ",", color=plots.ACCENT)

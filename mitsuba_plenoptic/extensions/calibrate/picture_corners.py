@@ -101,8 +101,7 @@ def camera_of_views(lf: xr.DataArray) -> PlenopticCamera:
     camera = PlenopticCamera.matched(
         f_number=4.0, lenses=(s, t), pixels_per_lens=u, pixel_size=7.2 / (s * u), focal_length=10.0, focus_distance=inf
     )
-    odd = np.array([s, t]) % 2
-    return camera.replace(mla_offset=tuple(odd * camera.mla_pitch / 2))
+    return camera.replace(mla_offset=tuple(np.array([s, t]) % 2 * camera.mla_pitch / 2))
 
 
 def recorded(path: Path, linear: bool) -> Capture | Array:

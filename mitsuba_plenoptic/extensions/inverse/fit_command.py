@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ... import choices
 from ...cli import inputs, options, options_of, stopping
 from ...errors import InputError, refuse_if
-from ...runtime import Named, progress_bar
+from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .fitting import Fit
@@ -33,7 +33,7 @@ def fit(
     wavelength: options.Wavelength | None = None,
     points_per_lens: int = 64,
     from_afar: bool = False,
-    light: Annotated[Named, options_of("extensions.inverse.capture_fit:fit", "model", "accuracy")],
+    light: Annotated[dict[str, Any], options_of("extensions.inverse.capture_fit:fit", "model", "accuracy")],
     resume: options.Resume = False,
     unit: choices.Unit = "mm",
     define: options.Definitions = None,

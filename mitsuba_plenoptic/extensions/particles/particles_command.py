@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import inspect
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ...cli import inputs, options, options_of, stopping
 from ...errors import naming, refuse_if, refusing, require_choice, require_known, short_repr
-from ...runtime import Named, Numbers, progress_bar
+from ...runtime import progress_bar
 
 if TYPE_CHECKING:
     from .flows import Flow
@@ -26,12 +26,14 @@ def particles(
     photons: float | None = None,
     resume: options.Resume = False,
     sequence: Annotated[
-        Named, options_of("extensions.particles.sequence:particle_sequence", "interval", "frames", "seed")
+        dict[str, Any], options_of("extensions.particles.sequence:particle_sequence", "interval", "frames", "seed")
     ],
-    seeding: Annotated[Named, options_of("extensions.particles.seeding:Seeding")],
+    seeding: Annotated[dict[str, Any], options_of("extensions.particles.seeding:Seeding")],
     direction: str = "1,0,0",
     thickness: float | None = None,
-    light: Annotated[Named, options_of("extensions.particles.particle_images:ParticleImages", "model", "accuracy")],
+    light: Annotated[
+        dict[str, Any], options_of("extensions.particles.particle_images:ParticleImages", "model", "accuracy")
+    ],
     wavelength: options.Wavelength = 550.0,
 ) -> None:
     """Capture particles in a flow at several times, with their exact displacements.
@@ -100,7 +102,7 @@ def particles(
         typer.echo(f"{path}: capture by {model}s at {float(truth['time'][frame]):g} s")
 
 
-def _numbers(name: str, text: str, count: int) -> Numbers:
+def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
     """Return the numbers of an option, separated by commas."""
     rule = f"{name} = {short_repr(text)}: it must be {count} numbers, separated by commas"
     with refusing(rule, ValueError):
@@ -109,7 +111,7 @@ def _numbers(name: str, text: str, count: int) -> Numbers:
     return values
 
 
-def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: Numbers) -> Flow:
+def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[float, ...]) -> Flow:
     """Return the flow that an option states, as NAME:KEY=VALUE,..., with numbers of a vector separated by slashes.
 
     Where the option states no centre, it is the given one.
@@ -119,7 +121,7 @@ def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: Numbers) 
     if name == "file":
         return kind(settings)
     names = tuple(inspect.signature(kind).parameters)
-    values: Named = {"centre": centre} if "centre" in names else {}
+    values: dict[str, Any] = {"centre": centre} if "centre" in names else {}
     for setting in filter(None, settings.split(",")):
         key, equals, value = setting.partition("=")
         refuse_if(not equals, f"flow = {short_repr(text)}: write it as NAME:KEY=VALUE,KEY=VALUE")
