@@ -136,9 +136,6 @@ _ROWS = 32
 _SMALL = 2**18
 """Largest number of samples for which a field is checked completely."""
 
-_UNSEEN = 0.01
-"""Relative error of the power in those rows beyond which all rows are checked."""
-
 
 class StepGuard:
     """Checks of one propagation step, made on the field before it, on the spectrum, and on the field after it.
@@ -166,7 +163,8 @@ class StepGuard:
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
         waves = _packed_rows(packed, self._shape, chosen)
         power = weighted(weight, waves) / math.prod(self._shape)
-        self._representative = abs(fraction(power, self._power) - 1) < _UNSEEN
+        # Relative error of the power in those rows beyond which all rows are checked.
+        self._representative = abs(fraction(power, self._power) - 1) < 0.01
         if not self._representative:
             chosen = np.arange(count)
             weight = np.ones(count)

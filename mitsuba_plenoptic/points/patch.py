@@ -234,9 +234,6 @@ class Memory:
         return wide
 
 
-_BLOCK = 2**16
-"""Samples of one point on the detector that are multiplied and transformed together: they fit into a core's cache."""
-
 Parts = Sequence[Field | None]
 """A change or a cotangent for each factor of a field, or None."""
 
@@ -387,7 +384,9 @@ class FieldChain:
         n = self._samples
         arrays = self._arrays
         columns = self._memory.take((count, size, n))
-        rows = max(1, _BLOCK // size) if arrays is np else size
+        # Samples of one point on the detector that are multiplied and transformed together: they fit into a core's
+        # cache.
+        rows = max(1, 2**16 // size) if arrays is np else size
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
             columns[:, block] = _forward(self.field[:, block] * gradient[:, block], n, (-1,))
         return arrays.ascontiguousarray(_forward(columns, n, (-2,)))

@@ -28,9 +28,6 @@ from ..runtime import Array, Doubles, Flags, Shape, Triple, array_module, requir
 _FINE = 16
 _LEAST = 4
 
-# Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
-_MOST_TAPS = 9
-
 # Pixels followed at once: few enough to stay in the cache.
 _BLOCK = 2**16
 
@@ -117,7 +114,8 @@ def _spread(samples: Array, footprint: Array) -> Array:
     footprint = footprint.reshape(taps, taps, -1)
     rows = samples.shape[0] + taps - 1
     columns = samples.shape[1] + taps - 1
-    if taps <= _MOST_TAPS:
+    # Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
+    if taps <= 9:
         spread = np.zeros((rows, columns))
         for y, x in np.ndindex(taps, taps):
             spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ footprint[y, x]

@@ -30,9 +30,6 @@ _REVERSE_ONLY = "PRBVolpathIntegrator"
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
-_NEGATIVE = 0.01
-"""Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
-
 
 @dataclass(frozen=True)
 class SceneLight:
@@ -131,8 +128,9 @@ def require_finite(radiance: list, *others: Any, signed: bool = True) -> None:
 
 def refuse_negative(lack: float, light: float) -> None:
     """Refuse negative light, unless it is a small part of all light."""
+    # Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero.
     refuse_if(
-        lack > _NEGATIVE * light,
+        lack > 0.01 * light,
         f"scene: {lack / max(light, 1e-300):.0%} of the light of some rays is negative: captures by waves need "
         "radiance of at least 0",
     )

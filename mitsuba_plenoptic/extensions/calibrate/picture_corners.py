@@ -78,7 +78,7 @@ def corners_of_pictures(
         if f"{key}.u" not in found:
             table = detect(image, light, centres, board, name=str(path))
             found |= {f"{key}.{name}": values for name, values in table.columns.items()}
-            checkpoint.save_arrays(lambda: found)
+            checkpoint.save_arrays(partial(dict, found))
         columns = {name.partition(".")[2]: values for name, values in found.items() if name.startswith(key)}
         tables.append(Table(str(path), columns | {"frame": np.full(len(columns["u"]), frame)}))
         progress(frame + 2, len(paths) + 1)
