@@ -52,17 +52,17 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 76_250,
-    "lines of the core": 50_510,
+    "lines": 76_200,
+    "lines of the core": 50_450,
     "tokens": 544_769,
-    "tokens of the core": 352_267,
+    "tokens of the core": 351_300,
     "functions": 4_055,
     "percentage of functions of at most three statements": 47.6,
     "checks and raises": 1_766,
     "definitions of checks": 115,
     "names of the core that extensions import": 368,
     "modules of the core that extensions import": 28,
-    "constants of modules": 806,
+    "constants of modules": 780,
     "lines of tests": 31_200,
     "lines of tools": 10_178,
     "words of docs": 56_436,
