@@ -19,7 +19,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, cast, get_args
 
-_Call = TypeVar("_Call", bound=Callable[..., Any])
+_Call = TypeVar("_Call", bound=Callable)
 
 _LONGEST_VALUE = 80
 
@@ -194,7 +194,7 @@ def relation(name: str) -> str:
     return ""
 
 
-def did_you_mean(name: Any, names_known: Iterable[Any]) -> str:
+def did_you_mean(name: Any, names_known: Iterable) -> str:
     """Return the end of a message on an unknown name: the most similar known name, or nothing.
 
     Of dotted names the last component counts.
@@ -324,7 +324,7 @@ def require_suffix(path: Path, suffixes: Collection[str]) -> None:
     )
 
 
-def require_known(where: str, names: Iterable[Any], allowed: Collection[str]) -> None:
+def require_known(where: str, names: Iterable, allowed: Collection[str]) -> None:
     """Refuse the first name that is not among the known ones; `what` begins the message, such as ``camera: ``."""
     for name in names:
         if name not in allowed:

@@ -20,7 +20,7 @@ Footprint = Literal["lens", "point"]
 
 FOOTPRINTS: tuple[Footprint, ...] = get_args(Footprint)
 
-_Call = TypeVar("_Call", bound=Callable[..., Any])
+_Call = TypeVar("_Call", bound=Callable)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Option:
     # Whether the help lists it among the options of waves, instead of those for experts.
     waves: bool = False
     # The types of its values, which its annotation states.
-    types: tuple[Any, ...] = ()
+    types: tuple = ()
 
     @property
     def choices(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from ..array import (
 )
 from ..errors import InputError, refuse_if, require_number
 from ..prescription import THIN, Collimator, LensData, Objective, Prescription, defocus_factor, even_count
-from ..runtime import Array, Pair, Shape, minimum, select, take
+from ..runtime import Array, Numbers, Pair, Shape, minimum, select, take
 from .aperture import Apodised, Opening, Round
 from .entry import one_if_equal, one_if_single, record
 from .parameters import CameraParameters
@@ -172,7 +172,7 @@ class CameraGeometry(CameraParameters):
         return nearer, (1 + height / self.detector_distance) / nearer
 
     @property
-    def chief_warp(self) -> tuple[float, ...]:
+    def chief_warp(self) -> Numbers:
         """Displacement of the places where chief rays of lenses cross the upright array: `mla_warp`, and of a tilt."""
         warp = np.array(self.mla_warp or np.zeros(14)).reshape(2, -1)
         # A tilt moves lenses by c h / b, where h is linear in c.
@@ -227,7 +227,7 @@ class CameraGeometry(CameraParameters):
         return displacement if displacement.is_smooth or displacement.deviation else None
 
     @cached_property
-    def most_displaced(self) -> tuple[float, float]:
+    def most_displaced(self) -> Pair:
         """Largest smooth displacement of a lens over the detector in mm, and largest change per mm; 0 if regular."""
         half = np.array([self.detector_width, self.detector_height]) / 2
         moved = self.lattice.displacement
@@ -255,7 +255,7 @@ class CameraGeometry(CameraParameters):
         return self.lenses_like_bins and not any(self.mla_offset)
 
     @property
-    def mla_pitch(self) -> float | tuple[float, ...]:
+    def mla_pitch(self) -> float | Numbers:
         """Pitch :math:`D_2` of the microlenses in mm, as it is given: of two, that along the rows comes first."""
         self.require_array("mla_pitch")
         return one_if_equal(self.mla_pitches)
@@ -266,7 +266,7 @@ class CameraGeometry(CameraParameters):
         return float(np.ravel(self.mla_pitch)[0])
 
     @property
-    def mla_focal_length(self) -> float | tuple[float, ...]:
+    def mla_focal_length(self) -> float | Numbers:
         """Focal length :math:`f_2` of a microlens in millimetres, or of each of three kinds."""
         self.require_array("mla_focal_length")
         return one_if_single(self.mla_focal_lengths)
@@ -281,7 +281,7 @@ class CameraGeometry(CameraParameters):
         return self.detector_distance / self.mla_medium
 
     @property
-    def reduced_focal_lengths(self) -> tuple[float, ...]:
+    def reduced_focal_lengths(self) -> Numbers:
         """Focal lengths :math:`f_2 / n` in mm of the microlenses in air, the reciprocals of their powers."""
         self.require_array("reduced_focal_lengths")
         return tuple(length / self.mla_medium for length in self.mla_focal_lengths)
@@ -291,7 +291,7 @@ class CameraGeometry(CameraParameters):
         return wavelength / self.space_behind[1]
 
     @property
-    def space_behind(self) -> tuple[float, float]:
+    def space_behind(self) -> Pair:
         """Distance in mm from the MLA to the detector, and index of the medium there; 0 and 1 without an array."""
         return (self.detector_distance, self.mla_medium) if self.has_array else (0.0, 1.0)
 

@@ -570,7 +570,7 @@ PARAMETERS = {
 }
 """The entries of the table by the names of the constructor's arguments."""
 
-FILE_READERS: dict[Form, Callable[..., Any]] = {
+FILE_READERS: dict[Form, Callable] = {
     Form.LENS: read_lens,
     Form.SHAPE: known_shape,
     Form.SCREEN: known_screen,

@@ -599,11 +599,9 @@ def film_numbers(film: Any) -> Named:
     }
 
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+_F = TypeVar("_F", bound=Callable)
 
-_results: weakref.WeakKeyDictionary[PlenopticCamera, tuple[Any, dict[str, dict[Any, Any]]]] = (
-    weakref.WeakKeyDictionary()
-)
+_results: weakref.WeakKeyDictionary[PlenopticCamera, tuple[Any, dict[str, dict]]] = weakref.WeakKeyDictionary()
 _latest = deque[Any](maxlen=2)
 """Cameras that live on, with their results, for the next capture by them."""
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InputError, did_you_mean, refuse_if, short_repr
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair, Sizes
 from .entry import Captures, Form
 from .parameters import PARAMETERS
 from .plenoptic_camera import PlenopticCamera
@@ -80,7 +80,7 @@ class Component:
     """Entry of a vector: one or several equal components of a parameter, with a label for results."""
 
     name: str
-    parts: tuple[int, ...]
+    parts: Sizes
     label: str
 
 
@@ -141,7 +141,7 @@ class CameraVector:
         pairs = zip(scales, self.values, strict=True)
         return np.array([scale(self.camera) if scale else abs(value) / 100 for scale, value in pairs])
 
-    def limits(self, bounds: Mapping[str, tuple[float, float]] | None) -> tuple[Doubles, Doubles]:
+    def limits(self, bounds: Mapping[str, Pair] | None) -> Pair:
         """Return the lowest and highest value of each component: `bounds`, or a range around the present values.
 
         Bounds of other parameters, in the wrong order, or that exclude the camera are refused.

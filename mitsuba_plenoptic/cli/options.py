@@ -88,7 +88,7 @@ EXPERT = "Options for experts"
 """Panels of the help below the one of the options that most people need."""
 
 
-def checked(check: Callable[[str, Any], object]) -> Callable[..., Any]:
+def checked(check: Callable[[str, Any], object]) -> Callable:
     """Return the callback of an option that calls a check with the option's name and each of its values."""
 
     def callback(parameter: typer.CallbackParam, value: Any) -> Any:
@@ -101,7 +101,7 @@ def checked(check: Callable[[str, Any], object]) -> Callable[..., Any]:
     return callback
 
 
-def ends_in(*suffixes: str, is_folder: bool = False) -> Callable[..., Any]:
+def ends_in(*suffixes: str, is_folder: bool = False) -> Callable:
     """Return the callback of an option that names an output, which must end in one of the suffixes, and claims it.
 
     No other process may compute the output meanwhile; an estimate claims nothing.
@@ -141,7 +141,7 @@ def _require_recording(name: str, path: Path) -> None:
     require_file(name, path)
 
 
-def assigned(option: str, form: str) -> Callable[..., Any]:
+def assigned(option: str, form: str) -> Callable:
     """Return the callback of an option whose texts assign a value to a name."""
 
     def check(parameter: str, text: str) -> None:
@@ -182,7 +182,6 @@ Existing = Annotated[Path, EXISTING]
 Count = Annotated[int, checked(require_count)]
 Number = Annotated[float, checked(require_number)]
 Positive = Annotated[float, checked(partial(require_number, positive=True))]
-PositiveOrInfinite = Annotated[float, checked(partial(require_number, positive=True, finite=False))]
 Distances = Annotated[list[float], checked(partial(require_number, finite=False))]
 Wavelength = Annotated[float, checked(lambda name, value: require_wavelength(value, name))]
 Wavelengths = Annotated[str, checked(lambda name, text: wavelengths_of(text, name))]

@@ -61,7 +61,7 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 
 received: list[int] = []
 checkpoints: list[Path] = []
-stoppable: list[Any] = []
+stoppable: list = []
 """Signals that the running command has received, files from which the same command goes on, where they exist, and the
 checkpoints that a run writes before it ends."""
 

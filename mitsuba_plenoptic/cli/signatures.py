@@ -107,7 +107,7 @@ def _signature(node: Any) -> list[tuple[str, str, ast.expr | None]]:
     return [(item.arg, ast.unparse(item.annotation), value) for item, value in zip(arguments, values, strict=True)]
 
 
-def documented(function: Callable[..., Any], module: str) -> dict[str, dict[str, inspect.Parameter]]:
+def documented(function: Callable, module: str) -> dict[str, dict[str, inspect.Parameter]]:
     """Return the options of a command, and its arguments, which may stand without a name, by parameters that take them.
 
     The docstring, or else that of the module or of `options`, states what stands for a value, in place of a type, and
@@ -144,7 +144,7 @@ def documented(function: Callable[..., Any], module: str) -> dict[str, dict[str,
     return options
 
 
-def _taken_apart(annotation: Any) -> tuple[Any, list[Any]]:
+def _taken_apart(annotation: Any) -> tuple[Any, list]:
     """Return a type that may be None without that, and what `Annotated` adds to it or to the items of a list."""
     inner = [item for item in get_args(annotation) if item is not type(None)]
     origin = get_origin(annotation)

@@ -1,7 +1,5 @@
 """Wavefront aberration, over the field, of a thin main lens whose `lens_model` is ``parabolic``."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -25,8 +25,6 @@ extinguishes lines from the first zero of its transfer function on: for straight
 equally wide in the object at all depths.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

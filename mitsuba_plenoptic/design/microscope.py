@@ -5,8 +5,6 @@ each lens of the width w sees the object through its part of the stop, with :mat
 of its own (Guo, Liu, Hua, Li and Jia 2019, "Fourier light-field microscopy", Optics Express 27, 25573).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ from ..camera import PlenopticCamera, once_a_camera, one_if_equal
 from ..errors import InputError, refuse_if
 from ..optics import in_millimetres
 from ..prescription import SINGLE, Objective
-from ..runtime import Array, Doubles, Integers
+from ..runtime import Array, Doubles, Integers, Pair
 from .quantities import direction_count, focus_types, mla_object_distances, sharp_images, vergence_slack
 from .remedies import Finding, detector_at, finer_pixels
 
@@ -51,7 +49,7 @@ def native_field(camera: PlenopticCamera) -> float:
     return camera.row_pitch / lens.view_scale(camera.reduced_distance)
 
 
-def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> tuple[float, float]:
+def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> Pair:
     r"""Return the least and greatest depth beyond the native object plane, in mm, at which some microlenses are sharp.
 
     For unfocused microlenses in the native image plane, these are the depths that refocusing restores to one sample per
@@ -75,7 +73,7 @@ def depth_of_field(camera: PlenopticCamera, wavelength: float | None = None) -> 
         Limits in millimetres; NaN if no type of microlens is sharp at any depth.
     """
     lens = objective_of(camera)
-    ranges: list[tuple[float, float]] = []
+    ranges: list[Pair] = []
     for focus, a in zip(focus_types(camera), mla_object_distances(camera), strict=True):
         if lens.images_stop:
             scale = lens.immersion * (lens.last_focal_length / lens.magnification) ** 2

@@ -19,8 +19,6 @@ defocus s of the object and :math:`\kappa = 1 + b/z - b/f_2`, the motion of the 
 point, they are :math:`w |1 - s \kappa|` and :math:`p |s| b / z`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

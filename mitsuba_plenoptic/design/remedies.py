@@ -4,8 +4,6 @@ Changes of the microlenses keep the image that they see, at the distance a befor
 1/z + 1/a`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

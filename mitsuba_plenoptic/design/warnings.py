@@ -1,7 +1,5 @@
 """Warnings about the design of a camera as sentences, and the camera without these faults."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

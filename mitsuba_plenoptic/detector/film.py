@@ -37,7 +37,7 @@ def behind_detector(film: Any) -> Any:
     return _film_class(mi.variant())(film)
 
 
-def _of_inner_film(name: str) -> Callable[..., Any]:
+def _of_inner_film(name: str) -> Callable:
     """Return a method that calls that of the inner film."""
     return lambda film, *arguments: getattr(film.inner, name)(*arguments)
 
@@ -82,7 +82,7 @@ def _film_class(variant: str) -> type:
             self._channels = [*"RGB", *alpha, "W", *aovs]
             # Powers of light in means over rays that pass, and the means of these powers of the rays' weights.
             self._powers = [None, None, None, *(0 for _ in alpha), None, *(light_power(aov, aovs) for aov in aovs)]
-            self._weights: list[Any] = []
+            self._weights: list = []
             self.redraws = len(self._powers) > 4
             self.require_outputs(aovs)
             _fit(self.inner, self)
@@ -98,7 +98,7 @@ def _film_class(variant: str) -> type:
                 "moments also pixels without detector_blur, pixel_crosstalk and stray_light",
             )
 
-        def draw_again(self, weight: Any, samples: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
+        def draw_again(self, weight: Any, samples: tuple) -> tuple[tuple, Any]:
             """Return the samples of rays drawn again in proportion to their weights, and factors of their new weights.
 
             Each pixel draws systematically among its rays, of which those without weight are blocked. If an output is

@@ -82,7 +82,7 @@ class ArrayFactor(ABC):
 
     _precision: type = np.complex64  # dtype of the transforms that compute its tables
 
-    def __init__(self, camera: PlenopticCamera, axes: tuple[int, ...], shape: Sizes):
+    def __init__(self, camera: PlenopticCamera, axes: Sizes, shape: Sizes):
         lattice = camera.lattice
         types = len(camera.mla_focal_lengths)
         self._camera = camera
@@ -300,7 +300,7 @@ class MicrolensArray:
         self._factors: dict[tuple[Any, float], list[ArrayFactor]] = {}
         self.axes = factor_axes(camera)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple:
         return microlens_array, (self._camera, self._wavelength)
 
     @property
@@ -351,11 +351,11 @@ class VaryingArrayFactor:
 
     factor: ArrayFactor
     lattice: Lattice
-    focal_lengths: list[Any]  # for each type of lens, reduced by the index of the medium
+    focal_lengths: list  # for each type of lens, reduced by the index of the medium
     wavelength: Any
 
     @property
-    def axes(self) -> tuple[int, ...]:
+    def axes(self) -> Sizes:
         """Axes of the coordinates on which the factor depends."""
         return self.factor.axes
 

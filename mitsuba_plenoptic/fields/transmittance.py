@@ -15,7 +15,7 @@ import numpy as np
 from ..array import Lattice, make_lattice
 from ..camera import PlenopticCamera
 from ..optics import in_millimetres, phasor, second_leg
-from ..runtime import Doubles, fft, turn
+from ..runtime import Pair, Sizes, fft, turn
 from .accuracy import ACCURACY
 
 
@@ -24,14 +24,14 @@ def is_separable(camera: PlenopticCamera) -> bool:
     return camera.lattice.separable and len(camera.mla_focal_lengths) == 1 and camera.microlens.is_parabolic
 
 
-def factor_axes(camera: PlenopticCamera) -> list[tuple[int, ...]]:
+def factor_axes(camera: PlenopticCamera) -> list[Sizes]:
     """Return the axes of each factor of the transmission, which has none without an array."""
     if not camera.has_array:
         return []
     return [(0,), (1,)] if is_separable(camera) else [(0, 1)]
 
 
-def repetition(camera: PlenopticCamera) -> tuple[Doubles, Doubles]:
+def repetition(camera: PlenopticCamera) -> Pair:
     """Return the lattice's vectors, and the sides of the coarsest grid of all centres, in mm in the lattice frame.
 
     Without an array nothing repeats, and pixels are the grid.
@@ -120,7 +120,7 @@ def bend(camera: PlenopticCamera) -> float:
     return float(slopes.max() if lattice.regular.separable else np.hypot(*slopes).max())
 
 
-def aperture_points(lattice: Lattice) -> tuple[Doubles, Doubles]:
+def aperture_points(lattice: Lattice) -> Pair:
     """Return offsets of points that cover an aperture, including its rim."""
     x, y = lattice.aperture_point(*np.meshgrid(*2 * [np.linspace(0, 1, ACCURACY.slope_points)]))
     return np.asarray(x), np.asarray(y)

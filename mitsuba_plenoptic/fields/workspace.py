@@ -25,10 +25,6 @@ _PAGE = 512
 _STAGGER = 24
 
 
-_RETAINED = 2**29
-"""Bytes of a thread's memory, at most, that wait for its next field."""
-
-
 class FieldWorkspace:
     """Memory shared by steps, since fresh memory pages would cost nearly as much as the transforms.
 
@@ -109,5 +105,6 @@ def retained_workspace(steps: Iterable[Step]) -> Iterator[FieldWorkspace]:
         return
     buffers = _of_thread.__dict__.pop("buffers", {})
     yield FieldWorkspace(steps, buffers=buffers)
-    if sum(buffer.nbytes for buffer in buffers.values()) <= _RETAINED:
+    # Bytes of a thread's memory, at most, that wait for its next field.
+    if sum(buffer.nbytes for buffer in buffers.values()) <= 2**29:
         _of_thread.buffers = buffers

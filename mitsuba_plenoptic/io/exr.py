@@ -4,7 +4,7 @@ import contextlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import OpenEXR
@@ -14,6 +14,7 @@ from ..errors import advice, content_of, naming, refuse_if, refusing, short_repr
 from ..runtime import (
     Array,
     Named,
+    Pair,
     Shape,
     atomic_output,
     native_output_dropped,
@@ -93,7 +94,7 @@ def write_exr_parts(
         OpenEXR.File(written).write(str(temporary))
 
 
-def _window(x: int, y: int, columns: int, rows: int) -> tuple[Array, Array]:
+def _window(x: int, y: int, columns: int, rows: int) -> Pair:
     return np.array([x, y], dtype=np.int32), np.array([x + columns - 1, y + rows - 1], dtype=np.int32)
 
 
@@ -266,7 +267,7 @@ def _undamaged(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _opened(path: Path, parts: list[ExrPart]) -> Iterator[Any]:
+def _opened(path: Path, parts: list[ExrPart]) -> Iterator:
     """Open the pixels of a file with given parts."""
     # The library's arrays of all parts, of at most four bytes a pixel and channel, and ours.
     samples = sum(

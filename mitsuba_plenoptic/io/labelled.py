@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -97,6 +97,6 @@ def _content(data: xr.Dataset) -> tuple[Named, list[dict[str, Array]]]:
     return record, [values]
 
 
-def _texts(attributes: dict[Any, Any]) -> dict[str, str]:
+def _texts(attributes: dict) -> dict[str, str]:
     """Return attributes as texts, since files make arrays of lists, and single numbers of arrays of one."""
     return {str(name): json.dumps(np.ravel(value).tolist()) for name, value in attributes.items()}

@@ -8,9 +8,6 @@ from ..runtime import Doubles, Pair, Triple, sqrt
 from .protocol import Light
 from .pupil import Pupil
 
-_ROUNDING = 1e-9
-"""Distance outside a round pupil, over its radius, up to which a point counts as on its edge."""
-
 
 class ClosedLens(Light):
     """A main lens whose light has the same closed form for every scene point, with the whole pupil open to all.
@@ -46,7 +43,7 @@ class ClosedLens(Light):
         """Return this lens, whose light is the same for all points."""
         return self
 
-    def opaque(self, convert: Callable[[Any], Any]) -> Self:
+    def opaque(self, convert: Callable) -> Self:
         """Return this lens unchanged."""
         return self
 
@@ -56,7 +53,8 @@ class ClosedLens(Light):
 
     def is_open(self, pupil: Pair) -> Any:
         """Return whether a point lies inside the pupil or, up to rounding, on its edge."""
-        return self.inside(pupil) >= -_ROUNDING * self.pupil.radius
+        # Distance outside a round pupil, over its radius, up to which a point counts as on its edge.
+        return self.inside(pupil) >= -1e-9 * self.pupil.radius
 
     @abstractmethod
     def power_through(self, point: Doubles) -> float:

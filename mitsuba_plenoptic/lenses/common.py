@@ -1,7 +1,5 @@
 """The function that makes a main lens from plain parameters or Dr.Jit arrays, and what follows from its members."""
 
-from __future__ import annotations
-
 import functools
 import importlib
 from collections.abc import Callable

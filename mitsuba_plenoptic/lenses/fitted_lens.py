@@ -27,7 +27,7 @@ import numpy as np
 from ..camera import PlenopticCamera
 from ..errors import put, refuse_if
 from ..optics import in_millimetres
-from ..runtime import Doubles, Facts, Integers, Named, Pair, drjit_array, single_threaded_blas, turn
+from ..runtime import Doubles, Facts, Integers, Named, Pair, Triple, drjit_array, single_threaded_blas, turn
 from .accuracy import ACCURACY
 from .protocol import Entrance, Traced
 from .pupil import Pupil
@@ -134,7 +134,7 @@ class FittedLens:
         changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
         return VaryingLens(self, numbers["mla_distance"], changed, turned)
 
-    def opaque(self, convert: Callable[[Any], Any]) -> FittedLens:
+    def opaque(self, convert: Callable) -> FittedLens:
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 
@@ -202,7 +202,7 @@ class FittedLens:
         return (ACCURACY.path_weight * path + across) * (step / in_millimetres(wavelength))
 
     @functools.cached_property
-    def _changes(self) -> tuple[Doubles, Doubles, Doubles]:
+    def _changes(self) -> Triple:
         """Largest changes of path and edge per motion of an image, by the distance of the image from the axis.
 
         The maximum is taken over object distances and over radial and tangential motion. Changes are per millimetre of

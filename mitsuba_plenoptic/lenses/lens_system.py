@@ -52,7 +52,7 @@ class LensSystem:
     aperture_radius: Any
     mla_distance: Any
     wavelength: float | None = None
-    indices: Sequence[Any] | None = None
+    indices: Sequence | None = None
 
     @classmethod
     def of(cls, camera: PlenopticCamera, wavelength: float | None = None) -> LensSystem:
@@ -167,14 +167,14 @@ class LensSystem:
 
     def clearance(self, position: Pair, slope: Pair) -> Any:
         """Return how far inside the nearest edge rays from the MLA pass, over that edge's radius; below 0: blocked."""
-        squares: list[Any] = []
+        squares: list = []
         is_open = self._follow(position, slope, squares)[2]
         squares = [square / surface.semi_aperture**2 for square, surface in zip(squares, self.backwards, strict=True)]
         inside = 1 - sqrt(functools.reduce(maximum, squares))
         # Farther outside, rays that turn back or miss surfaces tell no distance.
         return select(is_open, inside, maximum(-abs(inside), -0.25))
 
-    def _follow(self, position: Pair, slope: Pair, squares: list[Any] | None = None) -> tuple[Triple, Triple, Any, Any]:
+    def _follow(self, position: Pair, slope: Pair, squares: list | None = None) -> tuple[Triple, Triple, Any, Any]:
         """Return what `sequential.follow` does of rays from the MLA, in lengths of the prescription."""
         tx, ty = slope
         N = rsqrt(1 + tx * tx + ty * ty)

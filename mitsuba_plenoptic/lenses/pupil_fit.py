@@ -22,7 +22,7 @@ import numpy as np
 
 from ..errors import InputError, refuse_if
 from ..optics import guards, in_millimetres
-from ..runtime import Array, Doubles, Flags, Pair
+from ..runtime import Array, Doubles, Flags, Pair, Sizes, Triple
 from . import sequential
 from .accuracy import ACCURACY
 from .lens_system import LensSystem
@@ -111,7 +111,7 @@ def _follow(
     square = (entrance**2).sum(0)
     before = (square * inverse_distance - 2 * entrance[1] * field) / (length + np.sqrt(field * field + 1))
     start = (*(entrance / scale), np.full_like(field, numbers.entrance_pupil))
-    heights: list[Any] = []
+    heights: list = []
     # Edges are ignored: only rays that miss a surface or are totally reflected are lost.
     elements = [sequential.widened(element, np.inf) for element in lens.forwards]
     with np.errstate(all="ignore"):
@@ -152,7 +152,7 @@ class Pupils:
         image = 1 / float(lens.vergence(math.inf)) + float(lens.pupil.distance) - float(lens.mla_distance)
         return cls(entrance_place(lens), float(math.copysign(size, near.position[0, 0])), 1 / image)
 
-    def field(self, points: Doubles) -> tuple[Doubles, Doubles]:
+    def field(self, points: Doubles) -> Pair:
         """Return the fields (n, 2) and inverse distances (n,) of scene points (n, 3)."""
         inverse_distance = 1 / (points[:, 2] - self.entrance)
         return points[:, :2] * inverse_distance[:, None], inverse_distance
@@ -186,7 +186,7 @@ class PupilFit:
     # Squared distance from the axis over the squared semi-aperture, for each vignetting surface.
     stops: tuple[Polynomial, ...]
     # Indices of these surfaces.
-    cutting: tuple[int, ...]
+    cutting: Sizes
     # Root mean square error of the path, in waves, of the worst point that checks the fit.
     error: float
 
@@ -238,7 +238,7 @@ def fit_pupil(
     return PupilFit(pupils, aberration, brightness, tuple(stops), tuple(cutting.tolist()), error)
 
 
-def nodes(radius: float, field: float, inverse_distance: Pair) -> tuple[Array, Array, Array]:
+def nodes(radius: float, field: float, inverse_distance: Pair) -> Triple:
     """Return fields, inverse distances and positions of rays to fit, at Chebyshev nodes that include both ends.
 
     Only one side of the plane through axis and point is sampled, since the other side is its mirror image.
@@ -256,7 +256,7 @@ def nodes(radius: float, field: float, inverse_distance: Pair) -> tuple[Array, A
     return F[within], D[within], np.stack([X[within], Y[within]])
 
 
-def _random(radius: float, field: float, inverse_distance: Pair) -> tuple[Array, Array, Array]:
+def _random(radius: float, field: float, inverse_distance: Pair) -> Triple:
     """Return fields, inverse distances and positions of random rays that check a fit, sorted by point."""
     random = np.random.default_rng(0)
     F = np.repeat(field * np.sqrt(random.random(ACCURACY.checked_points)), ACCURACY.checking_rays)
@@ -292,12 +292,12 @@ class ExitPupil(LensLight):
     # The exit pupil, with a radius that contains its open part.
     pupil: Pupil
     # Positions (n, 2) and direction cosines (n, 2) of the rays that pass the lens.
-    bundle: tuple[Doubles, Doubles]
+    bundle: Pair
     # Root mean square error of the path in waves.
     error: float
 
     @classmethod
-    def of(cls, lens: LensSystem, point: tuple[float, float, float]) -> ExitPupil:
+    def of(cls, lens: LensSystem, point: Triple) -> ExitPupil:
         """Return the light of a point on the exit pupil of a lens, fitted to traced rays.
 
         Raises

@@ -73,7 +73,7 @@ class Polynomial:
         powers = np.vander(d, depth, increasing=True)[:, :, None] * np.vander(f, fields, increasing=True)[:, None]
         return powers.reshape(len(f), depth * fields) @ self.coefficients.reshape(-1, pairs)
 
-    def over_pupil(self, coefficients: list[Any], field: Pair) -> PupilPolynomial:
+    def over_pupil(self, coefficients: list, field: Pair) -> PupilPolynomial:
         """Return the pupil polynomial of points with given fields, from the coefficients that `at` returns."""
         return PupilPolynomial(self.scales, self.degrees, coefficients, field)
 
@@ -118,7 +118,7 @@ class PupilPolynomial:
     scales: Scales
     degrees: Degrees
     # The arguments of `Polynomial.over_pupil`.
-    coefficients: list[Any]
+    coefficients: list
     field: Pair
 
     def value(self, pupil: Pair) -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from ..errors import InputError, refuse_if
 from ..optics import guards
 from ..prescription import Prescription
-from ..runtime import Doubles, Flags, Pair, single_threaded_blas
+from ..runtime import Doubles, Flags, Pair, Triple, single_threaded_blas
 from .accuracy import ACCURACY
 from .common import LensNumbers, builds
 from .fitted_lens import FittedLens
@@ -93,8 +93,8 @@ class RealLens(LensSystem):
 
     # Distance of the detector's corners from the axis in millimetres.
     corner: float = 0.0
-    _fits: dict[tuple[float, float, float], FittedLens] = field(default_factory=dict, init=False, repr=False)
-    _lights: dict[tuple[float, float, float], ExitPupil] = field(default_factory=dict, init=False, repr=False)
+    _fits: dict[Triple, FittedLens] = field(default_factory=dict, init=False, repr=False)
+    _lights: dict[Triple, ExitPupil] = field(default_factory=dict, init=False, repr=False)
 
     is_uniform = False
 
@@ -120,7 +120,7 @@ class RealLens(LensSystem):
         radius, depths = self.front_bounds
         return Entrance(pupils.entrance, max(depths), pupils.magnification, radius, depths)
 
-    def opaque(self, convert: Callable[[Any], Any]) -> RealLens:
+    def opaque(self, convert: Callable) -> RealLens:
         """Return this lens, whose surfaces are compiled into kernels."""
         return self
 
@@ -130,7 +130,7 @@ class RealLens(LensSystem):
         return np.interp(np.hypot(x, y), heights, fractions)
 
     @functools.cached_property
-    def _fractions(self) -> tuple[Doubles, Doubles]:
+    def _fractions(self) -> Pair:
         radius = self.reach
         lens = self._own
         heights = np.linspace(0, ACCURACY.open_reach * self.corner, ACCURACY.open_fields)

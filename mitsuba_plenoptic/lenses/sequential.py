@@ -55,7 +55,7 @@ def elements(
     *,
     stop_radius: Any = None,
     backwards: bool = False,
-    indices: Sequence[Any] | None = None,
+    indices: Sequence | None = None,
 ) -> list[Element]:
     """Return a lens's surfaces in the order in which light meets them; the gap before the first is 0.
 
@@ -100,7 +100,7 @@ def widened(surface: Element, factor: float) -> Element:
 
 
 def follow(
-    lens: Sequence[Element], point: Triple, direction: Triple, squares: list[Any] | None = None
+    lens: Sequence[Element], point: Triple, direction: Triple, squares: list | None = None
 ) -> tuple[Triple, Triple, Any, Any]:
     r"""Return position, direction and path of rays behind a lens.
 

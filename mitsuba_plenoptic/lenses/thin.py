@@ -98,7 +98,7 @@ class Wavefront:
         return along_x + added[0], along_y + added[1]
 
 
-def _sum(terms: list[Any], x: Any) -> Any:
+def _sum(terms: list, x: Any) -> Any:
     """Return the value of a polynomial in x, by Horner's rule."""
     total = 0.0
     for term in reversed(terms):
@@ -183,7 +183,7 @@ class ThinLens(ClosedLens):
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
-    def opaque(self, convert: Callable[[Any], Any]) -> ThinLens:
+    def opaque(self, convert: Callable) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
         pupil = replace(self.pupil, radius=convert(self.pupil.radius), distance=convert(self.pupil.distance))
         aberrations = [convert(value) for value in self.aberrations]

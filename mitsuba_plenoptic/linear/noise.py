@@ -11,9 +11,6 @@ from ..errors import put_checked, refuse_if, require_number
 from ..io import response_of
 from ..runtime import Floats, Named
 
-_DARKEST = 0.01
-"""Variance, over the mean one, that is added to every pixel's where residuals are weighted."""
-
 
 def dark_variance(read_noise: float, gain: float, dark_electrons: float = 0.0) -> float:
     """Return the variance of a dark pixel in squared electrons: of dark current, reading and rounding.
@@ -67,6 +64,7 @@ def misfit(noise: PixelNoise, image: Floats, model: Floats) -> float:
     """
     dark = np.float32(noise.dark_variance / noise.electrons**2)
     variance = np.maximum(model, 0) / np.float32(noise.electrons) + dark
-    weight = 1 / (variance + np.float32(_DARKEST * float(variance.mean()) + 1e-30))
+    # Variance, over the mean one, that is added to every pixel's where residuals are weighted.
+    weight = 1 / (variance + np.float32(0.01 * float(variance.mean()) + 1e-30))
     residual = float(((image - model) ** 2 * weight).sum(dtype=np.float64))
     return residual / max(float((variance * weight).sum(dtype=np.float64)), 1e-30)

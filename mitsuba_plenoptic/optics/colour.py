@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import InputError
-from ..runtime import Doubles, Floats, Numbers, drjit_array
+from ..runtime import Doubles, Floats, Numbers, Pair, drjit_array
 from .spectrum import WAVELENGTHS, Spectrum, Table, interpolated
 
 _STEP = 10.0
@@ -135,7 +135,7 @@ def upsampling(wavelengths: Numbers) -> Doubles:
 
 
 @functools.cache
-def _reflectances() -> tuple[Doubles, Doubles]:
+def _reflectances() -> Pair:
     """Return wavelengths, and the reflectances (3, n) of the sRGB primaries at each of them."""
     # Imported here because it is slow to import and few captures upsample.
     from scipy.optimize import lsq_linear

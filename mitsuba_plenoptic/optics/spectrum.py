@@ -34,10 +34,6 @@ Table = tuple[Doubles, Doubles]
 """Wavelengths in nanometres and values of a spectrum, linear between them and 0 outside."""
 
 
-_FINE = 0.5
-"""Step in nanometres of the wavelengths, besides the tables' own, at which quadratures of tables are checked."""
-
-
 @suggest_keywords
 @dataclass(frozen=True)
 class Spectrum:
@@ -294,7 +290,8 @@ def _nodes(
 
     if not tables:
         return rule(low, high)
-    rows = np.concatenate([np.linspace(low, high, math.ceil((high - low) / _FINE) + 1), *(x for x, _ in tables)])
+    # Step in nanometres of the wavelengths, besides the tables' own, at which quadratures of tables are checked.
+    rows = np.concatenate([np.linspace(low, high, math.ceil((high - low) / 0.5) + 1), *(x for x, _ in tables)])
     edges = np.unique(rows[(rows >= low) & (rows <= high)])
     nodes, weights = np.polynomial.legendre.leggauss(3)
     half = np.diff(edges)[:, None] / 2

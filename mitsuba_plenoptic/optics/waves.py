@@ -21,6 +21,7 @@ from ..runtime import (
     Array,
     Doubles,
     Field,
+    Pair,
     Shape,
     Sizes,
     active_backend,
@@ -135,9 +136,6 @@ _ROWS = 32
 _SMALL = 2**18
 """Largest number of samples for which a field is checked completely."""
 
-_UNSEEN = 0.01
-"""Relative error of the power in those rows beyond which all rows are checked."""
-
 
 class StepGuard:
     """Checks of one propagation step, made on the field before it, on the spectrum, and on the field after it.
@@ -165,7 +163,8 @@ class StepGuard:
         weight = np.where(np.abs(order[chosen]) <= self._step, 1, self._step)
         waves = _packed_rows(packed, self._shape, chosen)
         power = weighted(weight, waves) / math.prod(self._shape)
-        self._representative = abs(fraction(power, self._power) - 1) < _UNSEEN
+        # Relative error of the power in those rows beyond which all rows are checked.
+        self._representative = abs(fraction(power, self._power) - 1) < 0.01
         if not self._representative:
             chosen = np.arange(count)
             weight = np.ones(count)
@@ -186,7 +185,7 @@ class StepGuard:
             # if the rows do not represent the field, its power in the rim before the step is unknown
             guards.check_window(fraction(rim, after), fraction(self._rim, self._power) if self._representative else 1.0)
 
-    def _of_field(self, field: Field) -> tuple[float, float]:
+    def _of_field(self, field: Field) -> Pair:
         """Total power, and power in the rim of the window."""
         rows = field[:: _row_step(field)]
         high, wide = (rim(size) for size in field.shape)
@@ -258,15 +257,15 @@ def propagate(field: Any, pitch: float, distance: float, wavelength: float, *, o
 
 def advance(
     spectrum: Field,
-    pitch: float | tuple[float, float],
+    pitch: float | Pair,
     distance: float,
     wavelength: float,
     *,
-    shift: tuple[float, float],
+    shift: Pair,
     part: Shape | None,
     paraxial: bool,
     beyond_paraxial: bool,
-    response: Callable[[Any, Any], Any] | None,
+    response: Callable | None,
 ) -> Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
@@ -284,11 +283,11 @@ def advance(
 def _advance(
     packed: Any,
     shape: Sizes,
-    pitch: float | tuple[float, float],
+    pitch: float | Pair,
     distance: float,
     wavelength: float,
     part: Shape | None = None,
-    response: Callable[[Any, Any], Any] | None = None,
+    response: Callable | None = None,
     **how: Any,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""
@@ -313,7 +312,7 @@ def transfer(
     distance: float,
     wavelength: float,
     *,
-    shift: tuple[float, float] = (0.0, 0.0),
+    shift: Pair = (0.0, 0.0),
     paraxial: bool = False,
     beyond_paraxial: bool = False,
 ) -> Any:

@@ -133,7 +133,7 @@ class WavelengthPlans:
 
     def __init__(
         self,
-        make: Callable[..., Any],
+        make: Callable,
         camera: PlenopticCamera,
         points: Doubles,
         pupil_weights: PupilWeights | None,
@@ -146,7 +146,7 @@ class WavelengthPlans:
         self._planned_for = points, pupil_weights, accuracy
         self._plans: dict[float, Any] = {}
 
-    def made_by(self, make: Callable[..., Any]) -> WavelengthPlans:
+    def made_by(self, make: Callable) -> WavelengthPlans:
         """Return the plans made by another function for the same points."""
         return WavelengthPlans(make, self._camera, *self._planned_for, self._systems)
 

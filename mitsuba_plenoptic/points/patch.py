@@ -195,8 +195,8 @@ class Memory:
 
     def __init__(self, arrays: Any = np):
         self.arrays = arrays
-        self._fields: dict[tuple[int, ...], list[Field]] = {}
-        self._used: Counter[tuple[int, ...]] = Counter()
+        self._fields: dict[Sizes, list[Field]] = {}
+        self._used: Counter[Sizes] = Counter()
 
     def restart(self) -> None:
         """Make all memory available for the next point."""
@@ -234,13 +234,10 @@ class Memory:
         return wide
 
 
-_BLOCK = 2**16
-"""Samples of one point on the detector that are multiplied and transformed together: they fit into a core's cache."""
-
 Parts = Sequence[Field | None]
 """A change or a cotangent for each factor of a field, or None."""
 
-_Factor = tuple[tuple[int, ...], Field]
+_Factor = tuple[Sizes, Field]
 """Axes of the camera, and the factor as fields are multiplied by it."""
 
 
@@ -256,7 +253,7 @@ class FieldChain:
     def __init__(
         self,
         factors: Sequence[Field],
-        axes: Sequence[tuple[int, ...]],
+        axes: Sequence[Sizes],
         finer: int,
         memory: Memory,
         returning: Field | None = None,
@@ -269,7 +266,7 @@ class FieldChain:
         self._directions = pupil.shape[-1]
         self._samples = self._transfer.shape[-1]
         # Fields have x along the last axis.
-        index: dict[tuple[int, ...], Any] = {(0,): (slice(None), None), (1,): (Ellipsis, None)}
+        index: dict[Sizes, Any] = {(0,): (slice(None), None), (1,): (Ellipsis, None)}
         upright = [lens[index.get(rows, Ellipsis)] for rows, lens in zip(axes, lenses, strict=True)]
         named: list[_Factor] = list(zip(axes, upright, strict=True))
         self._stages = [((-1, -2), named)] if len(named) > 2 else [((-1,), named[:1]), ((-2,), named[1:])]
@@ -387,12 +384,14 @@ class FieldChain:
         n = self._samples
         arrays = self._arrays
         columns = self._memory.take((count, size, n))
-        rows = max(1, _BLOCK // size) if arrays is np else size
+        # Samples of one point on the detector that are multiplied and transformed together: they fit into a core's
+        # cache.
+        rows = max(1, 2**16 // size) if arrays is np else size
         for block in (slice(first, first + rows) for first in range(0, size, rows)):
             columns[:, block] = _forward(self.field[:, block] * gradient[:, block], n, (-1,))
         return arrays.ascontiguousarray(_forward(columns, n, (-2,)))
 
-    def _inverse(self, field: Field, size: int, axes: tuple[int, ...]) -> Field:
+    def _inverse(self, field: Field, size: int, axes: Sizes) -> Field:
         """Return the inverse transform of a field padded with zeros to given sizes along given axes."""
         for axis in axes:
             field = inverse_along(self._memory.widened(field, size, axis), axis)
@@ -407,7 +406,7 @@ def _total(first: Field | None, second: Field | None) -> Field | None:
     return first
 
 
-def _forward(field: Field, count: int, axes: tuple[int, ...]) -> Field:
+def _forward(field: Field, count: int, axes: Sizes) -> Field:
     """Return the first samples of the unscaled transform along axes, computed in place on this thread alone."""
     for axis in axes[::-1]:
         field = forward_along(field, axis)

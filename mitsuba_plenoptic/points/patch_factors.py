@@ -54,7 +54,7 @@ class Elements:
     growth: Any = 1.0
     """Factor on all sample distances on the MLA and the detector, and on the positions of patches. It follows the
     wavelength, so that directions and points of the pupil are fixed."""
-    aberration: Callable[[Any, Any], Any] | None = None
+    aberration: Callable | None = None
     """An additional path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
 
 
@@ -150,7 +150,7 @@ class PatchFactors:
         lens = functools.cache(lambda: grid.lens.opaque(self._constant))
         return Elements(lens, grid.microlenses.factors, grid.wavelength, grid.camera.space_behind[0])
 
-    def of_points(self, parts: Sequence[Any], points: slice) -> list[Any]:
+    def of_points(self, parts: Sequence, points: slice) -> list:
         """Return some points' part of each factor, or of data of equal layout; None where a factor is None."""
         *factors, transfer = parts
         mine = [None if factor is None else factor[points] for factor in factors]
@@ -160,7 +160,7 @@ class PatchFactors:
         """Return the part of a transfer function, (points, along y, along x), that the fields of points contain."""
         return part_of(transfer, self.first_directions[points, ::-1], (self.samples, self.samples))
 
-    def values(self) -> Iterator[Any]:
+    def values(self) -> Iterator:
         """Yield the factors as flat Dr.Jit arrays Complex2f."""
         pupil, power = self._pupil(self._elements(self.shapes[0]))
         dr.schedule(power)  # together with the pupil, since it is a sum over it

@@ -45,9 +45,6 @@ that all threads have work."""
 _PATCH_LIMIT = 2**26
 """Bytes of one point's field above which many are refused: if each covers thousands of pixels, they take days."""
 
-_TILE = 1024
-"""Approximate number of samples across the region in which the corners of a chunk's patches lie."""
-
 
 _BEHIND_GAPS = 64
 """Patterns from which light beyond patches is estimated behind gaps; far light of fewer does not come back."""
@@ -312,7 +309,8 @@ def _areas(samples: Any) -> Any:
     if on_cuda():
         # On a device a larger tile costs less than the kernels of more chunks.
         return np.maximum(4096, samples // 3)
-    return np.clip(_TILE, samples // 3, 4 * samples)
+    # Approximate number of samples across the region in which the corners of a chunk's patches lie.
+    return np.clip(1024, samples // 3, 4 * samples)
 
 
 def _some(patterns: Integers, count: int = 16) -> Integers:

@@ -135,7 +135,7 @@ class PixelIntegrals:
         self._axes = along_x, along_y
         self._terms = terms or [(along_y.weights, along_x.weights)]
         # Made when they are first needed, those of the adjoint too.
-        self._matrices: dict[bool, list[list[Any]]] = {}
+        self._matrices: dict[bool, list] = {}
 
     @classmethod
     def of(
@@ -289,7 +289,7 @@ class TurnedSamples:
         values = drjit_array(types.Float, libraries.arrays.pad(intensity, HALF_WIDTH))
         result = libraries.arrays.empty(self._shape, np.float32)
 
-        def add(row: Any, weight: Any, total: Any, active: Any, across: list[Any]) -> Any:
+        def add(row: Any, weight: Any, total: Any, active: Any, across: list) -> Any:
             line = types.Float(0)
             for k in range(_TAPS):
                 line = dr.fma(dr.gather(types.Float, values, row + k, active), across[k], line)
@@ -311,7 +311,7 @@ class TurnedSamples:
         types = libraries.types
         sums = dr.zeros(types.Float, math.prod(self._padded))
 
-        def spread(row: Any, weight: Any, line_samples: Any, active: Any, across: list[Any]) -> Any:
+        def spread(row: Any, weight: Any, line_samples: Any, active: Any, across: list) -> Any:
             for k in range(_TAPS):
                 dr.scatter_add(sums, line_samples * weight * across[k], row + k, active)
             return line_samples
@@ -321,7 +321,7 @@ class TurnedSamples:
         inner = slice(HALF_WIDTH, -HALF_WIDTH)
         return libraries.arrays.ascontiguousarray(libraries.from_drjit(sums).reshape(self._padded)[inner, inner])
 
-    def _visit(self, libraries: Backend, lines: slice, total: Any, step: Callable[..., Any]) -> Any:
+    def _visit(self, libraries: Backend, lines: slice, total: Any, step: Callable) -> Any:
         """Return `total` after a step for each neighbouring row of lines of the new grid, with weights across."""
         types = libraries.types
         table = drjit_array(types.Float, self._weights)

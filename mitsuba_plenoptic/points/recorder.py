@@ -65,7 +65,7 @@ class Recorder:
         # Samples are recorded all at once where others are made of them before, and on a CUDA device.
         self.by_samples = self._is_resampled or active_backend().is_cuda
 
-    def _turned(self, low: Doubles, high: Doubles, degrees: float) -> tuple[Doubles, Doubles]:
+    def _turned(self, low: Doubles, high: Doubles, degrees: float) -> Pair:
         """Return the bounds of a rectangle, given from the detector's corner, after a turn about the axis."""
         if degrees == 0:
             return low, high

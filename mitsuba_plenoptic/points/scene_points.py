@@ -10,8 +10,6 @@ where A_c is the area of a lens's cell, and f the fraction of the light to the v
 from which rays start: only rays of this fraction could have found the point.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,12 +44,6 @@ _MIDDLES = [axis.ravel() for axis in np.meshgrid(*[(np.arange(_CELLS) + 0.5) * 2
 
 _LANES = 2**22
 """Approximate count of rays that are traced at once."""
-
-_POINT_BYTES = 1500
-"""Approximate memory of a point and its visibility mask, if every third mask is different."""
-
-_EVEN = 1e-3
-"""Slant below which a surface counts as facing the lens."""
 
 
 @dataclass(frozen=True)
@@ -114,9 +106,8 @@ def find_points(
     window = LensWindow.of(system)
     lenses = len(window.index)
     label = f"spp = {count}: {count} points in each of {lenses} lenses"
-    require_memory_for(
-        lambda number: float(_POINT_BYTES) * number * lenses, count, label, "spp = {}".format, computed=True
-    )
+    # Approximate memory of a point and its visibility mask, if every third mask is different.
+    require_memory_for(lambda number: 1500.0 * number * lenses, count, label, "spp = {}".format, computed=True)
     pairs = sample_pairs(count, seed)
     finder = _Finder(lights, system, window, pairs, paths)
     total = len(window.index) * count
@@ -128,7 +119,8 @@ def find_points(
     ]
     positions, radiance, slant, bits, cell, tried = (np.concatenate(parts) for parts in zip(*batches, strict=True))
     weights = None
-    if len(positions) and not ((bits == 255).all() and (np.abs(slant) < _EVEN).all()):
+    # Slant below which a surface counts as facing the lens.
+    if len(positions) and not ((bits == 255).all() and (np.abs(slant) < 1e-3).all()):
         masks = PupilWeights.from_bits(bits, _CELLS)
         weights = PupilWeights(masks.table, masks.index, slant, sampled=True)
     area = system.lattice.cell_area / count

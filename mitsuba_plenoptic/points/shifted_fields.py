@@ -35,12 +35,6 @@ from ..runtime import Doubles, Floats, Integers, Job, Part, Shape
 from .full_fields import FullFieldPlan, FullFieldSum, full_field, recorded_pixels
 from .pupil_weights import PupilWeights
 
-_TAIL = 1e-3
-"""Part of the light that may fall beyond spots."""
-
-_KEPT = 2**31
-"""Bytes of spots that a plan keeps for further sums."""
-
 _SPLINE = BSpline.basis_element([-2, -1, 0, 1, 2], extrapolate=False)
 
 
@@ -84,7 +78,8 @@ class ShiftedPlan(FullFieldPlan):
         spots = self._spots.get(depth)
         if spots is None:
             spots = Spots.of(self._system, self._fine, depth)
-            if sum(layer.values.nbytes for layer in self._spots.values()) < _KEPT:
+            # Bytes of spots that a plan keeps for further sums.
+            if sum(layer.values.nbytes for layer in self._spots.values()) < 2**31:
                 self._spots[depth] = spots
         return ShiftedLayer(self._system, spots, self._points[points, :2])
 
@@ -97,7 +92,7 @@ class ShiftedSum(FullFieldSum):
         self._layers = plan.layers(self._lit)
         self.items = np.array([*map(len, self._layers)], np.int64)
 
-    def batches(self, first: int) -> Iterator[Any]:
+    def batches(self, first: int) -> Iterator:
         """Yield one batch for each depth."""
         return (_Layer(self._plan, points, self._weights[points], False) for points in self._layers[first:])
 
@@ -156,7 +151,8 @@ class Spots:
         pixel = np.floor(place).astype(np.int64)
         aside = np.abs(np.stack([x, y], -1).astype(np.int64) - pixel[nearest]).max(-1)
         light = np.cumsum(np.bincount(aside.ravel(), spread.reshape(rows, parts, columns, parts).sum((1, 3)).ravel()))
-        half = int(np.searchsorted(light, (1 - _TAIL) * light[-1]))
+        # Part of the light that may fall beyond spots.
+        half = int(np.searchsorted(light, (1 - 1e-3) * light[-1]))
         spread, nearest = np.pad(spread, half * parts), np.pad(nearest, half, constant_values=-1)
         size = 2 * half + 1
         values = np.empty((len(place), size * parts, size * parts), np.float32)

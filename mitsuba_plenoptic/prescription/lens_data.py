@@ -92,7 +92,7 @@ class LensData(PlainData):
         return ""
 
     @property
-    def traced_surfaces(self) -> tuple[Any, ...]:
+    def traced_surfaces(self) -> tuple:
         """Surfaces through which rays of the lens are traced, empty if there are none."""
         return ()
 

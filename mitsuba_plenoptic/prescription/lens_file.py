@@ -1,7 +1,5 @@
 """Main lenses as files: YAML or JSON of `Prescription.to_plain`, and the formats of other programs."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 from collections.abc import Callable

@@ -39,12 +39,6 @@ MOST_COEFFICIENTS = 8
 LEAST = 1e-12
 """Least argument of square roots, so that rays that miss have numbers and gradients."""
 
-_HEIGHTS = 129
-"""Distances from the axis at which neighbouring surfaces must not have crossed."""
-
-_TOUCHING = 1e-9
-"""Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding."""
-
 _NAMES = {"radius", "thickness", "glass", "semi_aperture", "conic", "asphere", "stop"}
 
 _USE: dict[str, Callable[[str, Any], Any]] = {
@@ -457,8 +451,10 @@ def _meeting(front: Surface, back: Surface, thickness: float) -> float | None:
     def gap(square: Any) -> Any:
         return thickness + height(back, square) - height(front, square)
 
-    squares = np.linspace(0, edge, _HEIGHTS) ** 2
-    crossed = np.flatnonzero(gap(squares) < -_TOUCHING * edge)
+    # Distances from the axis at which neighbouring surfaces must not have crossed.
+    squares = np.linspace(0, edge, 129) ** 2
+    # Part of the semi-aperture by which surfaces that meet at their edges may seem to cross by rounding.
+    crossed = np.flatnonzero(gap(squares) < -1e-9 * edge)
     if not crossed.size:
         return None
     after = max(1, int(crossed[0]))

@@ -45,7 +45,7 @@ class LensChoice:
     # Steps in the lattice's indices, of which the first is the chief ray's own lens, or the indices of `fixed` lenses,
     # and their two columns for kernels.
     lenses: tuple[Shape, ...]
-    steps: Sequence[Any] = ()
+    steps: Sequence = ()
     # Distances from the chief ray's point within which the centres of lenses are tried, as of `cosine_limits`, by steps
     # of the distance from the axis, and the width of a step; None where all lenses are tried.
     limits: Any = None

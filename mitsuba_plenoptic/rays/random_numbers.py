@@ -6,7 +6,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..runtime import Doubles
+from ..runtime import Doubles, Sizes
 
 _ROUNDS = 5
 """Rounds of the cipher of `mi.sample_tea_32`: after its default of four the first word is not yet even, and numbers of
@@ -26,12 +26,12 @@ def even_steps(dimensions: int) -> Doubles:
     return root ** -np.arange(1.0, dimensions + 1)
 
 
-def even_words(dimensions: int) -> tuple[int, ...]:
+def even_words(dimensions: int) -> Sizes:
     """Return the `even_steps` as integers in units of 2^-32, with which a sequence stays exact at any index."""
     return tuple(int(step * 2**32) for step in even_steps(dimensions).tolist())
 
 
-def low_discrepancy(lane: Any, key: Any, index: Any, dimensions: int) -> list[Any]:
+def low_discrepancy(lane: Any, key: Any, index: Any, dimensions: int) -> list:
     """Return the numbers from 0 to 1, of 24 bits, at an index of a sequence that fills the unit cube evenly.
 
     Sequences are displaced at random, by the lane and the key, modulo 1.

@@ -38,7 +38,7 @@ class Dispersion:
     ratio: Any
     mla_ratio: Any
     # Refractive indices behind each surface of a real main lens.
-    indices: list[Any] | None
+    indices: list | None
 
     @classmethod
     def of(cls, camera: PlenopticCamera) -> Dispersion | None:

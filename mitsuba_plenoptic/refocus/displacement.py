@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..optics import in_millimetres, rays, soft_edge
 from ..rays import follow_back
-from ..runtime import Doubles, Floats, require_memory
+from ..runtime import Doubles, Floats, Triple, require_memory
 from .splatting import pixel_rows
 
 
@@ -71,23 +71,12 @@ class PupilCentroid:
         return [map_coordinates(table, at, order=1, mode="nearest") for table in self._tables]
 
 
-_SLOPE = 0.02
-"""Change of white over the light that it has, at most: what is of second order in it is then no tenth of a bin."""
-
-_FARTHEST = 1.0
-"""Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut."""
-
-
-_BLOCK = 2**18
-"""Pixels that are looked at together."""
-
-
 def is_known(camera: PlenopticCamera) -> bool:
     """Return whether displacements are known: for unfocused cameras with thin lenses, whose pixels see pupil points."""
     return camera.lens_data.is_thin and focus_type(camera) == "unfocused"
 
 
-def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]:
+def tilt(camera: PlenopticCamera, distance: float) -> Triple:
     """Return the relative rise of radiance per mm of the MLA plane, 1 on the axis, for the scenes of `rising`.
 
     The farthest position on the bins that counts, and a pixel's displacement there per pupil displacement, are also
@@ -96,7 +85,8 @@ def tilt(camera: PlenopticCamera, distance: float) -> tuple[float, float, float]
     at_pupil, on_bins = follow_back(1.0, 0.0, 0.0, distance, camera)
     of_pupil = on_bins / at_pupil
     farthest = (max(camera.bin_count) / 2 + 1) * camera.row_pitch + abs(of_pupil) * camera.lit_radius
-    return _SLOPE / farthest, farthest, of_pupil
+    # Change of white over the light that it has, at most: what is of second order in it is then no tenth of a bin.
+    return 0.02 / farthest, farthest, of_pupil
 
 
 def rising(
@@ -112,7 +102,8 @@ def rising(
     for distance, axis in itertools.product(distances, (0, 1)):
         image = np.empty_like(white)
         slope, farthest, of_pupil = tilt(camera, distance)
-        for rows, *p in pixel_rows(camera, _BLOCK):
+        # Pixels that are looked at together.
+        for rows, *p in pixel_rows(camera, 2**18):
             cells = rays.chief_lenses(camera, *p)
             ends = [
                 np.broadcast_arrays(*follow_back(q, c, c, distance, camera))
@@ -134,7 +125,8 @@ def displacements(tilted: Sequence[Doubles], slope: float, camera: PlenopticCame
         count = image.shape[1 - axis]
         axis_offset = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
         position = (image - 1) / slope * (oversample / camera.row_pitch)
-        farthest = _FARTHEST * oversample
+        # Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut.
+        farthest = 1.0 * oversample
         moved.append(np.nan_to_num(position - axis_offset).clip(-farthest, farthest))
     return moved
 

@@ -35,7 +35,7 @@ from ..camera import PlenopticCamera
 from ..design import focus_type
 from ..fields import FreeSpace, Hop, OpticalSystem, Step, converging, is_paraxial, retained_workspace
 from ..optics import guards, in_millimetres, parabola, phasor, rays, soft_edge
-from ..runtime import Array, Field, active_backend, check_memory, drjit_array, fft, single_threaded_blas
+from ..runtime import Array, Field, Pair, active_backend, check_memory, drjit_array, fft, single_threaded_blas
 from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
@@ -197,7 +197,7 @@ class LensSet:
         self.bin = bins - np.array(self.first)
         self.bins = int(self.bin[:, 0].max()) + 1, int(self.bin[:, 1].max()) + 1
 
-    def pixels(self, which: Array) -> tuple[Array, Array]:
+    def pixels(self, which: Array) -> Pair:
         """Return the first recorded column and row (n, 2) that may belong to lenses, and those after the last."""
         camera = self.tile.camera
         half = self.tile.cell_width / 2

@@ -22,9 +22,6 @@ from ..runtime import Array, Floats, Named, Numbers, atomic_output, require_memo
 if TYPE_CHECKING:
     import xarray as xr
 
-_EVEN = 1e-3
-"""Part of the mean spacing by which planes may lie elsewhere and be evenly spaced."""
-
 _ALONG = {"z": 0, "y": 1, "x": 2}
 
 
@@ -207,7 +204,8 @@ class Volume:
     def spacing(self) -> float | None:
         """Distance between planes in mm; None for one plane, and for distances that vary by more than a thousandth."""
         steps = np.diff(self.distances)
-        if not len(steps) or float(np.ptp(steps)) > 2 * _EVEN * float(steps.mean()):
+        # Evenly spaced planes may each lie a thousandth of the mean spacing elsewhere.
+        if not len(steps) or float(np.ptp(steps)) > 2e-3 * float(steps.mean()):
             return None
         return float(steps.mean())
 

@@ -22,14 +22,11 @@ from ..camera import PlenopticCamera
 from ..design import lens_directions, lens_footprint, pixel_footprint
 from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
-from ..runtime import Array, Doubles, Flags, Shape, array_module, require_memory
+from ..runtime import Array, Doubles, Flags, Shape, Triple, array_module, require_memory
 
 # Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
 _FINE = 16
 _LEAST = 4
-
-# Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
-_MOST_TAPS = 9
 
 # Pixels followed at once: few enough to stay in the cache.
 _BLOCK = 2**16
@@ -117,7 +114,8 @@ def _spread(samples: Array, footprint: Array) -> Array:
     footprint = footprint.reshape(taps, taps, -1)
     rows = samples.shape[0] + taps - 1
     columns = samples.shape[1] + taps - 1
-    if taps <= _MOST_TAPS:
+    # Bins across a footprint up to which it is applied bin by bin; beyond that FFTs are faster.
+    if taps <= 9:
         spread = np.zeros((rows, columns))
         for y, x in np.ndindex(taps, taps):
             spread[y : y + samples.shape[0], x : x + samples.shape[1]] += samples @ footprint[y, x]
@@ -168,7 +166,7 @@ def _in_bins(blur: Array, fine: int) -> Array:
 
 def _landing(
     camera: PlenopticCamera, distance: float, radius: float, oversample: int, fine: int, shape: Shape
-) -> tuple[Array, Array, Array]:
+) -> Triple:
     """Return sample, lens type and flat index of the pixels whose ray passes the pupil and lands on the bins.
 
     Samples are counted bin by bin; the middle of the bins, rows and columns, is on the axis.

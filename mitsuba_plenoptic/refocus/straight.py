@@ -32,26 +32,11 @@ from ..runtime import Floats, Named, Pair
 from ..views import white_image
 from .splatting import pixel_rows
 
-_BLOCK = 2**20
-"""Pixels that are looked up together."""
-
 _ORDER = 3
 """Order of the splines between pixels."""
 
-_NEAR = 0.01
-"""Pixels by which micro-images may be displaced that stay as they are."""
-
-_DARKEST = 0.25
-"""Light of a pixel in the white image, over that of the even camera, below which the pixel is not brightened."""
-
 _EVEN: Named = {"vignetting": None, "mla_transmissions": None}
 """Parameters of a camera whose lenses see the same pupil equally bright."""
-
-_SAME = 1e-9
-"""Offset in lattice vectors that is none."""
-
-_ASIDE = 0.1
-"""Displacement of lenses over the pitch up to which images stay as they are."""
 
 
 def is_uneven(camera: PlenopticCamera) -> bool:
@@ -80,7 +65,8 @@ def straightened(camera: PlenopticCamera) -> PlenopticCamera:
     steps = np.linalg.solve(basis.T, regular.mla_offset)
     # Multiples of a pitch are rounded: 3 x 0.1 is not 0.3.
     fractions = steps - np.rint(steps)
-    offset = np.where(abs(fractions) < _SAME, 0.0, fractions) @ basis
+    # Offset in lattice vectors that is none.
+    offset = np.where(abs(fractions) < 1e-9, 0.0, fractions) @ basis
     if angle == regular.mla_rotation and not np.rint(steps).any():
         return regular
     return regular.replace(mla_rotation=angle, mla_offset=tuple(offset.tolist()))
@@ -117,7 +103,8 @@ def _moved(image: Floats, camera: PlenopticCamera) -> Floats:
         for channel, spline in enumerate(splines):
             moved[rows, :, channel] = map_coordinates(spline, (y, x), order=_ORDER, mode="nearest", prefilter=False)
         row, column = np.indices(x.shape)
-        still = np.maximum(abs(x - column), abs(y - row - rows.start)) < _NEAR
+        # Pixels by which micro-images may be displaced that stay as they are.
+        still = np.maximum(abs(x - column), abs(y - row - rows.start)) < 0.01
         moved[rows][still] = image[rows][still]
     # Splines overshoot at the edges of micro-images, which keep their light.
     least = image.min()
@@ -137,7 +124,8 @@ def evening(camera: PlenopticCamera) -> tuple[Floats, Floats]:
     """
     white = white_image(camera)
     even = white_image(camera.replace(**_EVEN))
-    lit = (white > 0) & (white > _DARKEST * even)
+    # Light of a pixel in the white image, over that of the even camera, below which the pixel is not brightened.
+    lit = (white > 0) & (white > 0.25 * even)
     missing = ~lit & (even > 0)
     return (
         np.where(lit, even / np.where(lit, white, 1), 1).astype(np.float32),
@@ -155,7 +143,8 @@ def passed_light(camera: PlenopticCamera) -> Floats | None:
 def _seen(camera: PlenopticCamera, regular: PlenopticCamera) -> Iterator[tuple[slice, Any, Any]]:
     """Yield rows of the regular camera's pixels, with the columns and rows, in fractions, that the camera has there."""
     growth = camera.image_growth
-    for rows, *positions in pixel_rows(camera, _BLOCK):
+    # Pixels that are looked up together.
+    for rows, *positions in pixel_rows(camera, 2**20):
         p = np.meshgrid(*positions)
         cells = regular.lattice.cell(*(q / growth for q in p))
         lens = camera.lenslet(*cells)
@@ -192,7 +181,8 @@ def displaced_image(image: Floats, camera: PlenopticCamera, oversample: int) -> 
     moved, rows, columns = Displacement(camera.chief_warp), *image.shape[:2]
     pitch = camera.row_pitch / oversample
     half = np.array([columns, rows]) * pitch / 2
-    if moved.most_smooth(-half, half)[0] <= _ASIDE * camera.row_pitch:
+    # Displacement of lenses over the pitch up to which images stay as they are.
+    if moved.most_smooth(-half, half)[0] <= 0.1 * camera.row_pitch:
         return image
     x, y = np.meshgrid(*((np.arange(size) - (size - 1) / 2) * pitch for size in (columns, rows)))
     x, y = (

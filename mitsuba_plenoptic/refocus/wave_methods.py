@@ -98,9 +98,6 @@ from .planning import (
 )
 from .radiance import divided_by_white, lens_scale, over_lenses
 
-_APART = 2
-"""Bins between the geometric images of two lenses that do not interfere, for diffraction."""
-
 
 @method("coherent", waves=True)
 def coherent(task: Task, *, relay: bool) -> list[Array]:
@@ -213,7 +210,8 @@ def full_field_period(
     if lit is None:
         return 1
     blur = max(camera.blur_diameter(g) for g in distances) / min(camera.mla_pitches)
-    period = math.ceil(blur - 1e-6) + _APART
+    # Bins between the geometric images of two lenses that do not interfere, for diffraction.
+    period = math.ceil(blur - 1e-6) + 2
     tile = LensTile(camera, wavelength, tile_lenses(camera, distances), 1)
     lenses = math.prod((end - first) / camera.pixels_per_lens for first, end in lit)
     single = lenses * tile.transformed * len(distances)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -84,7 +83,7 @@ def compare(
 
 
 def _command(settings: Settings, against: str | None) -> str:
-    words: list[Any] = [
+    words: list = [
         f"mitsuba-plenoptic compare {settings.scene}",
         *(f"--distance {distance:g}" for distance in settings.distances),
         *(f"-D {name}={value}" for name, value in settings.parameters.items()),

@@ -119,7 +119,7 @@ def edge_sharpness(image: ArrayLike) -> EdgeSharpness:
     return replace(sharpness, row=row + float(rows[0]), column=column + float(columns[0]), upright=upright)
 
 
-def _slopes(image: Doubles, smooth: float = 1.0) -> tuple[Doubles, Doubles]:
+def _slopes(image: Doubles, smooth: float = 1.0) -> Pair:
     """Return the derivatives, downwards and across, of the slightly smoothed image."""
     down, across = (gaussian_filter(image, smooth, order=order, mode="nearest") for order in ((1, 0), (0, 1)))
     return down, across

@@ -23,7 +23,7 @@ from ..io import Cache, Capture, Checkpoint, StageOptions
 from ..optics import RGB_WAVELENGTHS
 from ..plugins.other_camera import with_camera
 from ..refocus import Reconstruction, header_of, reconstruct, require_distances
-from ..runtime import Array, Facts, Named, Numbers, Progress, in_words
+from ..runtime import Array, Facts, Named, Numbers, Pair, Progress, in_words
 from .images import luminance
 from .photographs import pinhole_image, thin_lens_image
 
@@ -172,7 +172,7 @@ class Experiment:
     # The scene from the centre of the main lens.
     pinhole: Array
     # Bounding boxes of the scene's shapes in the camera's frame by id.
-    boxes: dict[str, tuple[Array, Array]]
+    boxes: dict[str, Pair]
     # How long each stage took.
     seconds: dict[str, float]
     # What the captures are compared with besides each other.
@@ -458,7 +458,7 @@ def _changed(capture: Capture, change: Callable[[Array], Array], **facts: Any) -
     return replace(capture, image=change(capture.image), noise=noise, **facts)
 
 
-def bounding_boxes(scene: Any) -> dict[str, tuple[Array, Array]]:
+def bounding_boxes(scene: Any) -> dict[str, Pair]:
     """Return the bounding boxes of the shapes, by id, in the camera's frame."""
     to_camera = np.linalg.inv(scene.sensors()[0].world_transform().matrix.numpy()[..., 0].astype(np.float64))
     boxes = {}

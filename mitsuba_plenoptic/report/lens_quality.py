@@ -16,7 +16,7 @@ from ..errors import refuse_if, warn
 from ..lenses import FAR, RealLens, sequential
 from ..optics import in_millimetres
 from ..prescription import LINE_C, LINE_F, Prescription, conjugate_distance
-from ..runtime import Doubles
+from ..runtime import Doubles, Pair
 
 FIELDS = (0.0, 0.7, 1.0)
 """Heights in the image, over the largest, that are judged if no others are stated."""
@@ -114,7 +114,7 @@ def field_figures(
     return figures
 
 
-def chief(lens: RealLens, height: float, distance: float) -> tuple[float, float]:
+def chief(lens: RealLens, height: float, distance: float) -> Pair:
     """Return Y/g of the chief ray of a height on the MLA in an object plane, and Y in mm where the lens begins.
 
     Parameters
@@ -199,7 +199,7 @@ def _transfer(lens: RealLens, height: float, distance: float, frequencies: Seque
     return np.array(contrasts) / np.vdot(whole, whole).real
 
 
-def ray_paths(lens: RealLens, height: float, count: int = 7) -> tuple[Doubles, Doubles]:
+def ray_paths(lens: RealLens, height: float, count: int = 7) -> Pair:
     """Return ray paths, in a plane with the axis, from a position on the MLA through all surfaces to before the lens.
 
     Parameters

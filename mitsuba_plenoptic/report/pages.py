@@ -24,7 +24,7 @@ class Table:
     """
 
     columns: Mapping[str, str]
-    records: Iterable[Any]
+    records: Iterable
     caption: str = ""
     words: int = 1
     grouped: bool = False

@@ -1,7 +1,5 @@
 """Pictures of a scene by the camera's main lens without the array: thin, a pinhole, or an objective."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

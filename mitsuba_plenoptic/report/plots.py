@@ -29,7 +29,7 @@ from ..camera import PlenopticCamera, are_alike
 from ..errors import refuse_if
 from ..io import linear_of
 from ..refocus import Reconstruction
-from ..runtime import Array, Named, Shape, atomic_output
+from ..runtime import Array, Named, Pair, Shape, atomic_output
 from .images import Brightness, srgb, to_bytes
 from .windows import Window, Zoom
 
@@ -496,7 +496,7 @@ def _sampled(lf: xr.DataArray) -> Array:
     return (lf.where(lf.weight > 0) if "weight" in lf.coords else lf).transpose(*lf.dims).values
 
 
-def _edges(positions: Array) -> tuple[float, float]:
+def _edges(positions: Array) -> Pair:
     """Return the outer edges of evenly spaced samples; a single sample is drawn 1 wide."""
     half = (positions[-1] - positions[0]) / (len(positions) - 1) / 2 if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from ..errors import NO_ARRAY, InputError, refuse_if, refusing, require_choice, short_repr
 from . import llvm
 
-Array = NDArray[Any]
+Array = NDArray
 Doubles = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Integers = NDArray[np.int64]
@@ -128,7 +128,7 @@ def drjit_array(kind: Any, numbers: Any) -> Any:
     return kind(numbers.reshape(-1))
 
 
-def interleaved(parts: list[Any]) -> Any:
+def interleaved(parts: list) -> Any:
     """Return one Dr.Jit array with the first number of each of some arrays, then the second ones, and so on."""
     count = dr.width(parts)
     numbers = dr.empty(type(parts[0]), dr.width(parts) * len(parts))
@@ -136,7 +136,7 @@ def interleaved(parts: list[Any]) -> Any:
     return numbers
 
 
-def packets(array: NDArray[Any], kind: Any = None) -> NDArray[Any]:
+def packets(array: NDArray, kind: Any = None) -> NDArray:
     """Return a NumPy array, or a copy of it in another type, in memory from which kernels read whole packets.
 
     Kernels also read beyond the end of an array. If the array ends with a page, and the next page does not belong to
@@ -161,7 +161,7 @@ def _whole_packets(count: int) -> int:
     return -(-count // _PACKET) * _PACKET
 
 
-def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray[Any]:
+def empty_packets(shape: tuple[int, ...], kind: Any) -> NDArray:
     """Return an uninitialised NumPy array whose memory `packets` need not copy."""
     count = math.prod(shape)
     size = np.dtype(kind).itemsize
@@ -193,7 +193,7 @@ class Backend:
         """Return the memory of a flat Dr.Jit array as an array of the library `arrays`, perhaps not yet computed."""
         return self.arrays.from_dlpack(array) if self.is_cuda else array.numpy()
 
-    def to_host(self, array: Any) -> NDArray[Any]:
+    def to_host(self, array: Any) -> NDArray:
         """Return a finished array in NumPy's memory."""
         return self.arrays.asnumpy(array) if self.is_cuda else array
 

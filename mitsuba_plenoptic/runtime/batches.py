@@ -479,7 +479,7 @@ class Cluster:
             with contextlib.suppress(Exception):
                 self._client.cancel(list(pending), force=True)
 
-    def _results(self, future: Any) -> list[Any]:
+    def _results(self, future: Any) -> list:
         from distributed import KilledWorker
 
         try:
@@ -507,7 +507,7 @@ def _groups(batches: Iterable[Batch]) -> Iterator[list[Batch]]:
         yield group
 
 
-def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list[Any]:
+def _compute(batches: list[Batch], variant: str | None, versions: dict[str, str]) -> list:
     """Return the results of batches, computed on a worker."""
     _check_software(software(), versions, "a worker")
     results = []
@@ -543,7 +543,7 @@ class _KnownError(Exception):
     """Ends work whose time is known by now."""
 
 
-def cost_of(work: Callable[..., Any], *values: Any, **options: Any) -> Cost:
+def cost_of(work: Callable, *values: Any, **options: Any) -> Cost:
     """Return the estimated cost of a function called with values and options, and with `progress`.
 
     The work is begun, and abandoned as soon as its forecast stands, or done if it ends before.

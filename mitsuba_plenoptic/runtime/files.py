@@ -24,7 +24,7 @@ from .backend import Doubles
 
 _one_at_a_time = threading.Lock()
 
-_Reader = TypeVar("_Reader", bound=Callable[..., Any])
+_Reader = TypeVar("_Reader", bound=Callable)
 
 _log = logging.getLogger(__name__)
 
@@ -248,7 +248,7 @@ class _Loader(yaml.SafeLoader):
     refused.
     """
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict:
         keys = [key.value for key, _ in node.value]
         for key in keys:
             refuse_if(keys.count(key) > 1, f"{key} is given twice")

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from threadpoolctl import ThreadpoolController
 
@@ -174,7 +173,7 @@ def software() -> dict[str, str]:
 
 
 _limiting = threading.Lock()
-_limits: list[Any] = []
+_limits: list = []
 
 
 @contextmanager

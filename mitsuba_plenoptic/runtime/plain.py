@@ -41,7 +41,7 @@ class PlainData:
         return cls(**value)
 
     @cached_property
-    def _contents(self) -> tuple[Any, ...]:
+    def _contents(self) -> tuple:
         values = [getattr(self, field.name) for field in fields(self)]  # type: ignore[arg-type]
         return tuple(
             (value.shape, value.tobytes()) if isinstance(value, np.ndarray) else json.dumps(_plain(value))

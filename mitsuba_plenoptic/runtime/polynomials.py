@@ -11,7 +11,7 @@ def exponents(degree: int, lowest: int = 0) -> list[tuple[int, int]]:
     return [(total - j, j) for total in range(lowest, degree + 1) for j in range(total + 1)]
 
 
-def monomials(u: Any, v: Any, pairs: Sequence[tuple[int, int]]) -> list[Any]:
+def monomials(u: Any, v: Any, pairs: Sequence[tuple[int, int]]) -> list:
     """Return the terms u^i v^j of floats, NumPy or Dr.Jit arrays; among Dr.Jit arrays that of degree 0 is a number."""
     unit = np.ones_like(u) if isinstance(u, np.ndarray) else 1.0
     powers = [[unit, u], [unit, v]]

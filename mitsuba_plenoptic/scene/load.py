@@ -194,7 +194,7 @@ def load_scene(
     >>> scene = mp.load_scene("letters", variant="llvm_ad_mono", parameters=size)
     """
     factor = UNITS[require_choice("unit", unit, UNITS)]
-    load: Callable[..., Any]
+    load: Callable
     parse: Callable[[Any], Any]
     if isinstance(scene, Mapping):
         if parameters:

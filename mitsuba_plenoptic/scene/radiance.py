@@ -30,9 +30,6 @@ _REVERSE_ONLY = "PRBVolpathIntegrator"
 
 _FILM_RULE = "a capture needs pixel_format 'luminance' or 'rgb'"
 
-_NEGATIVE = 0.01
-"""Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero."""
-
 
 @dataclass(frozen=True)
 class SceneLight:
@@ -48,9 +45,7 @@ class SceneLight:
     is_radiance: ClassVar[bool] = True
     """Whether calls return the radiance of a scene, which is not negative."""
 
-    def __call__(
-        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
-    ) -> list[Any]:
+    def __call__(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list | None = None) -> list:
         """Return the radiance along rays from points in the camera frame, by channel or at each ray's wavelengths.
 
         It has no gradients, which `LightDerivatives` has.
@@ -60,7 +55,7 @@ class SceneLight:
             sampled = sample(self.integrator, self.scene, sampler, ray, self.sensor.get_medium(), active)
         return channels(sampled) if wavelengths is None else list(sampled)
 
-    def rays(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None) -> Pair:
+    def rays(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list | None) -> Pair:
         """Return a sampler, and the rays from points in the camera frame as Mitsuba rays in the world frame."""
         ray = world_ray(self.sensor, point, slope)
         if wavelengths is not None:
@@ -116,7 +111,7 @@ def world_ray(sensor: Any, point: Triple, slope: Pair) -> Any:
     return ray
 
 
-def require_finite(radiance: list[Any], *others: Any, signed: bool = True) -> None:
+def require_finite(radiance: list, *others: Any, signed: bool = True) -> None:
     """Evaluate radiances and other arrays together; refuse radiances that are NaN or infinite.
 
     Unless radiances are `signed`, a considerable negative part, which would be mistaken for noise, is refused, too.
@@ -133,8 +128,9 @@ def require_finite(radiance: list[Any], *others: Any, signed: bool = True) -> No
 
 def refuse_negative(lack: float, light: float) -> None:
     """Refuse negative light, unless it is a small part of all light."""
+    # Largest fraction of negative light, for interpolated environments and estimates that fall slightly below zero.
     refuse_if(
-        lack > _NEGATIVE * light,
+        lack > 0.01 * light,
         f"scene: {lack / max(light, 1e-300):.0%} of the light of some rays is negative: captures by waves need "
         "radiance of at least 0",
     )
@@ -174,15 +170,13 @@ class LightDerivatives(SceneLight):
             raise InputError(f"nested {name}: it differentiates no light of cameras in a medium")
         return cls(light.scene, light.sensor, integrator, light.wavelength)
 
-    def __call__(
-        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
-    ) -> list[Any]:
+    def __call__(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list | None = None) -> list:
         """Return the change of the radiance along rays; see `SceneLight`."""
         change = self.replay(point, slope, active, seed, wavelengths).differentiate(dr.ADMode.Forward, None)
         change = dr.select(active, change, 0)
         return channels(change) if wavelengths is None else list(change)
 
-    def replay(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None) -> Replay:
+    def replay(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list | None) -> Replay:
         """Trace rays for their radiance, and return their state for the derivatives; see `SceneLight`."""
         sampler, ray = self.rays(point, slope, active, seed, wavelengths)
         if self.scene.environment() is None and self.sensor.get_medium() is None:
@@ -255,9 +249,7 @@ class ReplayedLight:
     def __init__(self, light: LightDerivatives):
         self._light = light
 
-    def __call__(
-        self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list[Any] | None = None
-    ) -> list[Any]:
+    def __call__(self, point: Triple, slope: Pair, active: Any, seed: int, wavelengths: list | None = None) -> list:
         """Return the light along rays, as `SceneLight` does, with gradients."""
         with dr.suspend_grad():
             self._replay = self._light.replay(point, slope, active, seed, wavelengths)
@@ -295,7 +287,7 @@ def sample(integrator: Any, scene: Any, sampler: Any, ray: Any, medium: Any, act
     return dr.select(active, mi.unpolarized_spectrum(radiance), 0)
 
 
-def channels(radiance: Any) -> list[Any]:
+def channels(radiance: Any) -> list:
     """Return the channels of a radiance: one in spectral variants, where all lanes have the same wavelength."""
     return [radiance[0]] if mi.is_spectral else list(radiance)
 

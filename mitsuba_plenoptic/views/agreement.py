@@ -64,7 +64,7 @@ class ViewComparison:
         attributes = self._lf.attrs
         return bool(attributes.get("camera") and attributes.get("grid")) and min(self._lf.shape[:2]) >= 3
 
-    def _light(self, slope: float, wavelength: float | None, texture: float) -> tuple[Array, Array]:
+    def _light(self, slope: float, wavelength: float | None, texture: float) -> Pair:
         """Return the light of the views by the camera, and its sums; see `light_of_views`."""
         u, v = (tuple(view_steps(self._lf, axis).tolist()) for axis in "uv")
         return light_of_views(camera_of(self._lf), wavelength, self._spread, texture, slope or 1e-9, u, v)

@@ -29,7 +29,7 @@ from ..design import objective_of
 from ..errors import InputError, advice, refuse_if, refusing, require_number, require_wavelength, short_repr
 from ..optics import rays
 from ..prescription import image_distance
-from ..runtime import MILLIMETRES, Array, Named, require_pixels, require_units
+from ..runtime import MILLIMETRES, Array, Named, Pair, require_pixels, require_units
 from .grid import LensGrid
 
 DIMS = ("v", "u", "t", "s")
@@ -161,7 +161,7 @@ def wavelength_of(lf: xr.DataArray | xr.Dataset) -> float | None:
     return require_wavelength(json.loads(lf.attrs["wavelength"])) if lf.attrs.get("wavelength") else None
 
 
-def stated_disparities(lf: xr.DataArray) -> tuple[float, float] | None:
+def stated_disparities(lf: xr.DataArray) -> Pair | None:
     """Return the least and the greatest disparity of the scene, where the file of a light field states them."""
     if not lf.attrs.get("disparities"):
         return None

@@ -196,7 +196,7 @@ def micro_image_centres(camera: PlenopticCamera, margin: float) -> Array:
     return centres[((centres >= -margin) & (centres <= np.array(camera.crop_size) + margin)).all(1)]
 
 
-def lens_indices(camera: PlenopticCamera, centres: Array) -> tuple[Doubles, Doubles]:
+def lens_indices(camera: PlenopticCamera, centres: Array) -> Pair:
     """Return the lattice indices of the lenses of micro-image centres (..., 2), columns and rows."""
     return camera.lattice.cell(*array_places(camera, centres))
 
@@ -257,7 +257,7 @@ def lattice_rows(vectors: Array, tolerance: float = 1e-9, like: Lattice | None =
     candidates = [rows for pair in (pairs if shifted else pairs[:1]) for rows in (pair, pair[::-1])]
     row = (1.0, 0.0) if like is None else like.from_frame(1.0, 0.0)
 
-    def unlike(pair: tuple[Array, Array]) -> float:
+    def unlike(pair: Pair) -> float:
         pitch, apart = (math.hypot(*step) for step in pair)
         turned = abs(row[0] * pair[0][1] - row[1] * pair[0][0]) / pitch
         return turned if like is None else turned + abs(math.log(apart / pitch * np.divide(*like.period())))

@@ -11,7 +11,7 @@ import scipy.ndimage
 
 from ..array import Lattice
 from ..errors import refuse_if
-from ..runtime import Array, as_pixels, exponents, monomials
+from ..runtime import Array, Pair, Triple, as_pixels, exponents, monomials, single_threaded_blas
 from .grid import LensGrid, covering_grid, lattice_rows, reduced
 
 # Part of a step by which a wave may miss a wave of a lattice.
@@ -23,6 +23,7 @@ _CELL = 24
 NO_LATTICE = "white: no regular lattice of micro-images is seen in it"
 
 
+@single_threaded_blas()
 def estimate_lens_grid(white: Array, like: Lattice | None = None) -> LensGrid:
     """Return pitches, rotation and offset of a square, rectangular or hexagonal array, found in a white image.
 
@@ -62,7 +63,7 @@ def estimate_lens_grid(white: Array, like: Lattice | None = None) -> LensGrid:
     return covering_grid(image.shape, *_fit(image, origin, reduced(vectors), like))
 
 
-def _guess(image: Array) -> tuple[Array, Array]:
+def _guess(image: Array) -> Pair:
     """Return two lattice vectors (rows, in pixels) and one centre: the lattice whose discs explain the image best.
 
     Where micro-images overlap, waves of the lattice vanish from the spectrum, the fundamental one at 1.22 pitches of a
@@ -186,7 +187,7 @@ class Discs:
     def _rim(self) -> float:
         return max(0.1 * self.pitch, 2.5)
 
-    def measured(self, patches: tuple[Array, Array, Array], centres: Array) -> tuple[Array, Array]:
+    def measured(self, patches: Triple, centres: Array) -> Pair:
         """Return the middles of micro-images about centres, and their brightness.
 
         Brightness that rises over a micro-image displaces its centroid. Where light I has risen by g u at u, and its
@@ -234,7 +235,7 @@ class Discs:
         return centres + shift.clip(-1, 1), light
 
 
-def _middle(image: Array, side: int) -> tuple[Array, Array]:
+def _middle(image: Array, side: int) -> Pair:
     """Return an image's middle of at most side x side pixels, and its first column and row."""
     size = np.minimum(image.shape[::-1], side)
     left, top = start = (np.array(image.shape[::-1]) - size) // 2
@@ -291,7 +292,7 @@ def _fit(image: Array, origin: Array, vectors: Array, like: Lattice | None) -> t
     return *_rows_at_right_angles(steps, measured[clear]), shifted
 
 
-def pixels_around(image: Array, centres: Array, half: int) -> tuple[Array, Array, Array]:
+def pixels_around(image: Array, centres: Array, half: int) -> Triple:
     """Return the columns (n, k) and rows (n, k) of the pixels around each centre, and their values (n, k, k)."""
     window = np.arange(-half, half + 1)
     base = np.floor(centres).astype(np.int64)
@@ -301,7 +302,7 @@ def pixels_around(image: Array, centres: Array, half: int) -> tuple[Array, Array
     return x, y, patch.astype(np.float64, copy=False)
 
 
-def _rows_at_right_angles(steps: Array, measured: Array) -> tuple[Array, Array]:
+def _rows_at_right_angles(steps: Array, measured: Array) -> Pair:
     """Return origin, rotation and spacings fitted to centres at given steps along and across the rows."""
     matrix = np.column_stack([np.ones(len(steps)), steps])
     origin, first, second = np.linalg.lstsq(matrix, measured)[0]

@@ -24,7 +24,7 @@ import scipy
 
 from ..camera import PlenopticCamera, Use, require_support
 from ..optics.rays import second_leg
-from ..runtime import Array
+from ..runtime import Array, Pair
 from .grid import array_places
 from .lens_images import MicroImages
 
@@ -204,7 +204,7 @@ class LensComparison:
                 pairs.append((block, neighbours, rotation @ way * apart / bins.spacing))
         return pairs
 
-    def _straightened(self, slope: float) -> tuple[Array, Array]:
+    def _straightened(self, slope: float) -> Pair:
         """Return samples at the positions where a pencil through the lens's centre would show them, and a mask."""
         images = self._images
         values = np.empty_like(self._values)

@@ -25,8 +25,9 @@ from ..io import (
     write_labelled_data,
 )
 from ..runtime import Array, require_writable
-from .coordinates import camera_of, require_light_field
+from .coordinates import camera_of, light_field, require_light_field
 from .decoding import decode
+from .grid import bin_grid
 from .grid_estimation import estimate_lens_grid
 from .lens_images import MicroImages, micro_images
 from .mosaics import read_mosaic, stated_mosaic, write_mosaic
@@ -65,7 +66,8 @@ def open_light_field(
     linear : bool
         Whether pictures hold values proportional to light, as raw data does, instead of sRGB.
     camera : PlenopticCamera, optional
-        The camera of a raw picture, or another one than a capture's. With it distances are in millimetres.
+        The camera of a raw picture or of a light field's mosaic of lenses, or another one than a capture's. With it
+        distances are in millimetres.
     truth : path or bool
         Ground truth of a capture, for `decode`. True: the file that the capture names, if it lies in the same folder.
     """
@@ -82,13 +84,14 @@ def open_light_field(
         _refuse(path, views=views)
         capture = read_capture(path, camera=camera)
         ground_truth = _ground_truth(path, capture, truth) if camera is None or not isinstance(truth, bool) else None
-        by = None if white is None else read_recording(white, linear)
+        by = None if white is None else read_recording(white, linear, camera)
         return decode(capture, camera=camera, white=by, truth=ground_truth)
     _refuse(path, truth=None if isinstance(truth, bool) else truth)
     key = HCI if (path / HCI).is_file() else path.suffix.lower()
     if (of_extension := format_of(key, "light field", str(path))) or name.endswith((".nc", ".zarr")):
-        _refuse(path, white=white, views=views, camera=None if camera is None else "given")
-        return place(*of_extension)(path) if of_extension else read_labelled(path)
+        _refuse(path, white=white, views=views)
+        lf = place(*of_extension)(path) if of_extension else read_labelled(path)
+        return lf if camera is None else of_camera(lf, camera, path)
     if name.endswith(RAW_SUFFIXES):
         picture = read_numbers(path) if camera is None and white is None else None
         stated = picture and stated_mosaic(picture)
@@ -116,6 +119,17 @@ def open_light_field(
         f"{path}: it is {content_of(path)}{_step(path)}; a capture or light field is a folder with {HCI}, or has a "
         f"name that ends in .exr, {', '.join(LIGHT_FIELDS)}, .tiff or .bmp"
     )
+
+
+def of_camera(lf: xr.DataArray, camera: PlenopticCamera, path: Path) -> xr.DataArray:
+    """Return a light field with the camera that its mosaic of lenses was calibrated as."""
+    bins = bin_grid(camera)
+    v, u, t, s = lf.shape[:4]
+    refuse_if(
+        bins.shape != (t, s) or camera.crop_size != (s * u, t * v),
+        f"{path}: its mosaic of lenses has {s * u} x {t * v} pixels, the camera's picture {camera.crop_size}",
+    )
+    return light_field(lf.values, lf["weight"].values, camera, bins, white=lf["white"].values)
 
 
 def _step(path: Path) -> str:
@@ -153,7 +167,7 @@ def open_micro_images(
     path = Path(path)
     if path.suffix.lower() != ".exr":
         return None
-    by = None if white is None else read_recording(white, linear)
+    by = None if white is None else read_recording(white, linear, camera)
     return micro_images(read_capture(path, camera=camera), camera=camera, white=by)
 
 
@@ -191,11 +205,11 @@ def _ground_truth(path: Path, capture: Capture, truth: str | Path | bool) -> Gro
     return stored if are_alike(stored.camera, capture.camera) else None
 
 
-def read_recording(path: str | Path, linear: bool) -> Capture | Array:
-    """Read a capture with its camera, or the pixels of another program's picture."""
+def read_recording(path: str | Path, linear: bool, camera: PlenopticCamera | None = None) -> Capture | Array:
+    """Read a capture with its camera, or a given one instead, or the pixels of another program's picture."""
     if Path(path).suffix.lower() in RAW_SUFFIXES:
         return read_picture(path, linear=linear)
-    return read_capture(path) if read_attributes(path) else read_pixels(path)
+    return read_capture(path, camera=camera) if read_attributes(path) else read_pixels(path)
 
 
 def _refuse(path: Path, **options: object) -> None:

@@ -95,7 +95,7 @@ def _by_waves(camera: PlenopticCamera, spectrum: Spectrum, progress: Progress | 
 
     from ..waves import DEFAULT_ACCURACY, WhiteCapture
 
-    def white(point: Any, slope: Any, active: Any, *_: Any) -> list[Any]:
+    def white(point: Any, slope: Any, active: Any, *_: Any) -> list:
         return [dr.select(active, mi.Float(1), 0)]
 
     if mi.variant() is None:

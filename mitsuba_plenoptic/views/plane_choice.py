@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from scipy.special import erf, expit, logit
 
-from ..runtime import Array
+from ..runtime import Array, Pair
 
 # A neighbour is on the same plane or, half as likely, on each of the next ones; with this probability on any.
 _NEXT = 0.5
@@ -233,7 +233,7 @@ def indications(views: Disagreement, samples: float, tolerance: float) -> tuple[
     return plane, np.stack(evidence), agreeing, precise, rival
 
 
-def _around(inverse: Array, plane: Array, tolerance: Array | float) -> tuple[Array, Array]:
+def _around(inverse: Array, plane: Array, tolerance: Array | float) -> Pair:
     """Return the planes, with fractions, that bound the distances within the tolerance of a plane, or the ends."""
     planes = np.arange(len(inverse))
     order = np.argsort(inverse)

@@ -38,7 +38,7 @@ def light_of_views(
     slope: float,
     u: Numbers,
     v: Numbers,
-) -> tuple[Doubles, Doubles]:
+) -> Pair:
     """Return the light (v, u) of views at steps along the pupil, and the sums (2, v, u) of light times its u and v.
 
     `spreads` are variances in squared pixels, along u and v, of the light of samples; see `spread_of_samples`.

@@ -15,7 +15,6 @@ Fields behind the lenses are those of `array_field`.
 
 import itertools
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +93,7 @@ def _images(waves: LensWaves, polynomials: LensFunctions, coefficients: Doubles,
             count //= 2
             step *= 1 + (farthest > count)
         weights = np.sinc(np.arange(-count, count + 1) * (step * waves.camera.pixel_size / scale))
-        transfers: list[Any] = []
+        transfers: list = []
         for direction in cosines:
             # Behind lenses that are the same turned by half, opposite directions have conjugate integrals, but for the
             # signs of odd functions.
@@ -280,7 +279,7 @@ def _transfer(
     return result / np.float32(measure.sum())
 
 
-def _symmetry(T: NDArray[Any], weight: Floats, axis: int | Shape) -> Floats | None:
+def _symmetry(T: NDArray, weight: Floats, axis: int | Shape) -> Floats | None:
     """Return 1 for weights that are even, and -1 for odd ones, along axes along which T is even; otherwise None.
 
     Shapes: the result (n, 1, 1), `weight` (n, rows, columns).

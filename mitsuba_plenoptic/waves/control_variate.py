@@ -15,7 +15,7 @@ import mitsuba as mi
 from ..runtime import Pair
 
 
-def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tuple[list[Pair], Any]:
+def means_of_halves(values: list, valid: Any, count: int, rays: int) -> tuple[list[Pair], Any]:
     """Return the means of each value over the even and over the odd valid rays of `count` pixels, of `rays` rays each.
 
     A mask of the pixels where some value is not zero is returned, too, as derivatives may cancel in the means.
@@ -40,13 +40,13 @@ def means_of_halves(values: list[Any], valid: Any, count: int, rays: int) -> tup
     return means, lit
 
 
-def mean_of_half(sums: Sequence[Any], counts: Sequence[Any]) -> Pair:
+def mean_of_half(sums: Sequence, counts: Sequence) -> Pair:
     """Return the means over each half of the rays from sums and counts; 0 without rays."""
     first, second = (dr.select(count > 0, total / count, 0) for total, count in zip(sums, counts, strict=True))
     return first, second
 
 
-def of_other_half(even: Any, halves: Sequence[Any]) -> Any:
+def of_other_half(even: Any, halves: Sequence) -> Any:
     """Return for rays of the even (first) half what belongs to the odd (second) half, and vice versa."""
     return dr.select(even, halves[1], halves[0])
 

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..camera import PlenopticCamera, shortest_parts, with_parts
-from ..runtime import Doubles, Floats, on_all_cores
+from ..runtime import Doubles, Floats, Pair, on_all_cores
 from .phase_space import PhaseSpace, Table
 
 OF_KERNELS = ("mla_distance", "mla_focal_length", "mla_pitch", "detector_distance", "detector_width")
@@ -109,7 +109,7 @@ def width_slopes(start: PhaseSpace) -> Table:
 
 
 @functools.lru_cache(maxsize=32)
-def _kernel_changes(plan: PhaseSpace, name: str, component: int, step: float, kind: int) -> tuple[Doubles, Doubles]:
+def _kernel_changes(plan: PhaseSpace, name: str, component: int, step: float, kind: int) -> Pair:
     """Return the first and second derivatives of kernels by the relative change of a parameter's component."""
     samples = plan.waves.kernel_samples(step, plan.reach, kind)
     sides = []

@@ -111,7 +111,7 @@ class FittedPupil:
         combined[0, count::count] -= 1
         self.functions = PupilFunctions(sets[0].exponents, combined)
 
-    def arguments(self, x: Any, y: Any) -> list[Any]:
+    def arguments(self, x: Any, y: Any) -> list:
         """Return, for pupil points over the radius, Dr.Jit arrays of which rays' functions are made.
 
         They are the coordinates in the box around the open parts, and the shares of open and of closed parts.

@@ -85,7 +85,7 @@ class LensFunctions:
         """Coefficients (monomials, functions) of the functions."""
         return self.triangle @ self.functions
 
-    def best(self, count: int, tolerance: float, points: tuple[Doubles, Doubles], images: Doubles) -> LensFunctions:
+    def best(self, count: int, tolerance: float, points: Pair, images: Doubles) -> LensFunctions:
         """Return the fewest combinations of polynomials that leave a part `tolerance` of the images of random light.
 
         At most `count` combinations are returned.
@@ -166,7 +166,7 @@ class LegendreProducts:
         along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v)]
         return np.stack([along[0][i] * along[1][j] + 0 * u for i, j in self.pairs], -1) - self._means
 
-    def at_rays(self, u: Any, v: Any) -> list[Any]:
+    def at_rays(self, u: Any, v: Any) -> list:
         """Return the values at Dr.Jit points."""
         along = [legendre(x, max(map(sum, self.pairs))) for x in self._boxed(u, v, dr.opaque)]
         others = zip(self.pairs[1:], self._means[1:].tolist(), strict=True)
@@ -185,7 +185,7 @@ class LegendreProducts:
         return boxed[0], boxed[1]
 
 
-def legendre(x: Any, degree: int) -> list[Any]:
+def legendre(x: Any, degree: int) -> list:
     """Return Legendre's polynomials up to a degree, by their recurrence."""
     series = [1.0, x]
     for n in range(1, degree):
@@ -193,7 +193,7 @@ def legendre(x: Any, degree: int) -> list[Any]:
     return series
 
 
-def even_polynomials(parts: Sequence[tuple[Doubles, Doubles]], degree: int) -> list[LensFunctions]:
+def even_polynomials(parts: Sequence[Pair], degree: int) -> list[LensFunctions]:
     """Return polynomials that are orthonormal over each of some sets of points, all of the largest degree possible.
 
     The degree is at most `degree`, and less where points lie so that single precision does not suffice for it.

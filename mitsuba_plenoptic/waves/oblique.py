@@ -32,7 +32,7 @@ from ..runtime import Doubles, Floats, backend_of, exponents, monomials
 from .accuracy import USUAL
 
 
-def terms(u: Any, v: Any, degree: int) -> list[Any]:
+def terms(u: Any, v: Any, degree: int) -> list:
     """Return the terms in which kernels change with direction cosines, relative to the largest cosines."""
     return monomials(u, v, exponents(degree, lowest=1))
 
@@ -145,7 +145,7 @@ class Oblique:
             return arrays.zeros((0, *u.shape), np.float32)
         return self._orthonormal(arrays, [arrays.ones_like(u), *terms(u, v, self.degree)])
 
-    def _orthonormal(self, arrays: Any, values: list[Any]) -> Any:
+    def _orthonormal(self, arrays: Any, values: list) -> Any:
         """Return the orthonormal terms after the first, or their slopes, from 1 and the terms, or from their slopes."""
         inverse = np.linalg.inv(self.basis)[1:].astype(np.float32)
         return arrays.asarray(inverse) @ arrays.stack(values)

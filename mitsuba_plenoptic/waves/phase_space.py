@@ -40,6 +40,7 @@ from ..runtime import (
     Floats,
     Pair,
     Shape,
+    Sizes,
     begin_step,
     drjit_array,
     empty_packets,
@@ -65,7 +66,7 @@ _BYTES = 2**30
 """Bytes of tables that are cached, beyond which those that a capture does not need are freed, the oldest first. A table
 takes some 18 MiB, and 40 MiB at f/2."""
 
-_tables: dict[tuple[Any, ...], Table] = {}
+_tables: dict[tuple, Table] = {}
 _Jitter = tuple[Any, Any, Any, Any]
 
 
@@ -150,7 +151,7 @@ class PhaseSpace:
         )
 
     @property
-    def options(self) -> tuple[Any, ...]:
+    def options(self) -> tuple:
         """All that kernels depend on beside the camera, the plan about which it is expanded, and the wavelength."""
         return self.accuracy, self.lands_by_point
 
@@ -180,7 +181,7 @@ class PhaseSpace:
         return self.basis or self
 
     @property
-    def key(self) -> tuple[Any, ...]:
+    def key(self) -> tuple:
         """All that the table depends on."""
         camera = self.camera
         return (
@@ -190,12 +191,12 @@ class PhaseSpace:
         )
 
     @property
-    def layout(self) -> tuple[Any, ...]:
+    def layout(self) -> tuple:
         """All that the places of coefficients in the table depend on, but the lattice."""
         return self.camera.pupil_radius, *self.nodes
 
     @property
-    def shapes(self) -> list[tuple[int, ...]]:
+    def shapes(self) -> list[Sizes]:
         """Shapes of the table's arrays."""
         return [(node.angular + 1, *reversed(node.counts), self.functions.count) for node in self.nodes]
 
@@ -206,7 +207,7 @@ class PhaseSpace:
         reach = in_millimetres(self.wavelength) * self.camera.pupil_distance
         functions = self.functions
         # Functions are even or odd along both axes: their values over a quarter of the aperture give all coefficients.
-        grids: tuple[Any, ...] = self.waves.aperture_grid(USUAL.function_samples)
+        grids: tuple = self.waves.aperture_grid(USUAL.function_samples)
         u, v, inside = (grid[len(grid) // 2 :, len(grid) // 2 :] for grid in grids)
         spacing = 2 * u[0, 0]
         values = functions.values(u, v, functions.functions) * (2 * spacing) ** 2
@@ -331,7 +332,7 @@ class PhaseSpace:
         most = FINER if fine or highest > USUAL.coarse_pixel else USUAL
         return min(math.ceil((FINER if fine else USUAL).cells * highest), most.most_cells)
 
-    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+    def arguments(self, point: Pair, pupil: Pair) -> list:
         """Return the numbers of which a ray's coefficients are polynomials: its point on a lens over the reach."""
         return [coordinate / self.functions.scale for coordinate in self.waves.lattice.to_frame(*point)]
 
@@ -406,7 +407,7 @@ def _rules(waves: LensWaves, lands_by_point: bool) -> list[tuple[str, bool, str]
     ]
 
 
-def coefficients_of(plans: Sequence[Any]) -> list[RayCoefficients | Polynomials]:
+def coefficients_of(plans: Sequence) -> list[RayCoefficients | Polynomials]:
     """Return the objects that compute the coefficients of rays for plans."""
     tabulate([plan for plan in plans if not plan.lands_by_point])
     return [Polynomials(plan) if plan.lands_by_point else RayCoefficients(plan, plan.table) for plan in plans]
@@ -453,7 +454,7 @@ class TableNodes:
         return mi.UInt(dr.floor(position + chance))
 
 
-class Table(list[NDArray[Any]]):
+class Table(list[NDArray]):
     """Coefficient arrays of a table's nodes, of 16 bits, one after another in `memory` (places, numbers), in packets.
 
     Zeros follow the arrays, for rays outside all nodes. Other tables may fill other columns of the memory.
@@ -461,9 +462,9 @@ class Table(list[NDArray[Any]]):
 
     def __init__(
         self,
-        shapes: Sequence[tuple[int, ...]],
+        shapes: Sequence[Sizes],
         # Memory, and the table's first packet in each row; by default, memory for this table alone.
-        memory: NDArray[Any] | None = None,
+        memory: NDArray | None = None,
         first: int = 0,
     ):
         self.packets = -(-shapes[0][-1] // _PACKET)
@@ -479,7 +480,7 @@ class Table(list[NDArray[Any]]):
         super().__init__(rows.reshape(shape) for rows, shape in zip(np.split(columns, ends)[:-1], shapes, strict=True))
 
     @classmethod
-    def side_by_side(cls, tables_of_shapes: Sequence[Sequence[tuple[int, ...]]]) -> list[Table]:
+    def side_by_side(cls, tables_of_shapes: Sequence[Sequence[Sizes]]) -> list[Table]:
         """Return zero tables of given shapes with the same places, in one memory."""
         together = [
             (*shape[:-1], sum(-(-shapes[0][-1] // _PACKET) * _PACKET for shapes in tables_of_shapes))
@@ -529,11 +530,11 @@ class RayCoefficients:
         ]
         self._signs = drjit_array(mi.UInt32, np.array(quarters))
 
-    def __call__(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list[Any]:
+    def __call__(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list:
         """Return the coefficients of rays from points of a lens through points of the pupil."""
         return self.read(*self.places(point, pupil, jitter, active))
 
-    def places(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list[Any]:
+    def places(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> list:
         """Return the places in the table of the coefficients of rays, for `read`; see `__call__`.
 
         Each ray takes one node of the table at random, so that the expectation is the linear interpolation between the
@@ -561,7 +562,7 @@ class RayCoefficients:
         quarter = dr.select(mirrored[0], mi.UInt32(1), 0) | dr.select(mirrored[1], mi.UInt32(2), 0)
         return [dr.select(active, mi.UInt32(index) << 2 | quarter, dr.opaque(mi.UInt32, self._nowhere << 2))]
 
-    def read(self, index: Any) -> list[Any]:
+    def read(self, index: Any) -> list:
         """Return the coefficients at `places`."""
         values = [
             mi.Float(value)
@@ -574,7 +575,7 @@ class RayCoefficients:
             for n, value in enumerate(values[: self.plan.functions.count])
         ]
 
-    def slopes(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> tuple[list[Any], list[Any]]:
+    def slopes(self, point: Pair, pupil: Pair, jitter: _Jitter, active: Any) -> tuple[list, list]:
         """Return the derivatives of the coefficients by the point, along the lattice's axes; see `__call__`."""
         Pu, Pv = self._lattice.to_frame(*pupil)
         _, radial = self._nodes.along(Pu, Pv, jitter[0])
@@ -598,13 +599,13 @@ class Polynomials:
 
     def __init__(self, plan: Any):
         self.plan = plan
-        self.layout: tuple[Any, ...] = (plan.functions.scale,)
+        self.layout: tuple = (plan.functions.scale,)
 
-    def places(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list[Any]:
+    def places(self, point: Pair, pupil: Any, jitter: Any, active: Any) -> list:
         """Return the arguments of the polynomials, for `read`."""
         return list(self.plan.arguments(point, pupil))
 
-    def read(self, u: Any, v: Any, *shares: Any) -> list[Any]:
+    def read(self, u: Any, v: Any, *shares: Any) -> list:
         """Return the values of the polynomials at `places`, whose monomials are those of each share of a ray."""
         functions = self.plan.functions
         if isinstance(functions, LegendreProducts):

@@ -144,7 +144,7 @@ class PupilDiffraction:
         assert self.fitted
         return self.fitted.covariance
 
-    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+    def arguments(self, point: Pair, pupil: Pair) -> list:
         """Return the numbers of which a ray's coefficients are polynomials: its pupil point over the radius.
 
         Behind coded apertures the shares of the pupil's parts follow, by which polynomials are multiplied.

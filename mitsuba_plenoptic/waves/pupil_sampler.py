@@ -96,7 +96,7 @@ class PupilSampler(DetectorGrid):
         )
         return x, y
 
-    def _displacement(self, random: Sequence[Any]) -> Pair:
+    def _displacement(self, random: Sequence) -> Pair:
         """Return random displacements in mm with the density of the point spread function."""
         density, count, step = self._spread
         cell, _, within = density.sample(mi.Point2f(*random))

@@ -9,7 +9,7 @@ from ..camera import Opening
 from ..errors import WAVEFRONT_UNIT
 from ..lenses import Wavefront
 from ..optics import in_millimetres
-from ..runtime import Array, Doubles, Numbers
+from ..runtime import Array, Doubles, Numbers, Pair
 from .accuracy import USUAL
 
 
@@ -46,7 +46,7 @@ def means(values: Array, count: int) -> Array:
     return values.reshape(count, finer, count, finer).mean((1, 3))
 
 
-def spread_points(density: Doubles) -> tuple[Doubles, Doubles]:
+def spread_points(density: Doubles) -> Pair:
     """Return coordinates over the pupil's radius of points that have a density, given on samples of the square."""
     # As many as there are samples of the largest density, some of them several times.
     upto = np.cumsum(density) / density.max()

@@ -448,7 +448,7 @@ def densities_of(values: Floats) -> Doubles:
     return (root + 0.05 * root.mean((1, 2), keepdims=True)).astype(np.float64)
 
 
-def divided(density: Doubles) -> tuple[Doubles, Doubles]:
+def divided(density: Doubles) -> Pair:
     """Return the edges that divide a window into parts over which a piecewise constant density has equal integrals.
 
     The edges are those of the strips, (n + 1,), and of the cells in each strip, (n, n + 1).

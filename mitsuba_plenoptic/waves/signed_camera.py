@@ -92,7 +92,7 @@ class CameraSum(SignedRaySum):
         with dr.resume_grad():
             self._varying = self._varied()
 
-    def _varied(self) -> dict[str, list[Any]]:
+    def _varied(self) -> dict[str, list]:
         """Return the camera's `PARAMETERS` with gradients enabled for those by which the capture is differentiated."""
         varying = varying_parameters(self._camera)
         dr.enable_grad([varying[name] for name in self._names])
@@ -116,7 +116,7 @@ class CameraSum(SignedRaySum):
         slopes = {name: expanded.kernel_slopes(name, self._step, kind) for name, _ in self._of_kernels}
         return [*displaced(kernels), *(slopes[name][i] for name, i in self._of_kernels)]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list:
         """Return the arguments of the coefficients of rays, and the rays' changes."""
         _, slope, _ = walk.through_pupil(samples.ray.P, samples.ray.m, samples.lens.height)
         with dr.resume_grad():
@@ -126,7 +126,7 @@ class CameraSum(SignedRaySum):
             changes = [self._change(value) + dr.zeros(mi.Float, dr.width(samples.number)) for value in quantities]
         return [*samples.lens_point, *samples.round_pupil, *samples.chance, samples.ray.valid, *changes]
 
-    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list) -> list[tuple[list, Any]]:
         """Return the changes of a ray's coefficients, these times its displacements on the detector, and themselves."""
         x, y, X, Y, *chance = arguments[:8]
         valid, du, dv, dx, dy, measure, density, width = arguments[8:16]
@@ -141,7 +141,7 @@ class CameraSum(SignedRaySum):
         ]
         return [(change, density), ([a * dx for a in values], dx), ([a * dy for a in values], dy), (values, None)]
 
-    def _cell_means(self, pixels: Any, of_rays: list[Any], *light: Any) -> list[list[list[Any]]]:
+    def _cell_means(self, pixels: Any, of_rays: list, *light: Any) -> list[list]:
         """Return the mean values, and the changes of the direction cosines of the cells' light."""
         _, first, _ = self._cells_of(pixels)
         # All rays of a cell and a lens have nearly the same direction.
@@ -157,7 +157,7 @@ class CameraTangents(CameraSum):
         self._changes = changes
         super().__init__(*arguments, names=changes, **options)
 
-    def _varied(self) -> dict[str, list[Any]]:
+    def _varied(self) -> dict[str, list]:
         varying = super()._varied()
         for name, components in self._changes.items():
             for value, component in zip(varying[name], components, strict=True):
@@ -197,7 +197,7 @@ class CameraAdjoint(CameraSum):
     def _change(self, value: Any) -> Any:
         return value - dr.detach(value)
 
-    def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
+    def _product(self, images: Array, values: list, node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images with those of `CameraTangents._combined`, with gradients."""
         oblique = self._nodes[node_index].plan.oblique
         cosines = np.array([cosine.numpy() for cosine in node.cosines])
@@ -225,13 +225,13 @@ class CameraAdjoint(CameraSum):
         return total
 
 
-def varying_parameters(camera: PlenopticCamera) -> dict[str, list[Any]]:
+def varying_parameters(camera: PlenopticCamera) -> dict[str, list]:
     """Return the components of all `PARAMETERS` as Dr.Jit arrays."""
     return {name: [dr.opaque(mi.Float, value) for value in values] for name, values in parameters_of(camera).items()}
 
 
 def follow_fixed(
-    camera: PlenopticCamera, varying: Mapping[str, list[Any]], samples: RaySamples, slope: Pair, step: float
+    camera: PlenopticCamera, varying: Mapping[str, list], samples: RaySamples, slope: Pair, step: float
 ) -> FixedRays:
     """Return rays of a camera, whose slopes in the scene are fixed, in a camera of varying `PARAMETERS`.
 

@@ -5,13 +5,11 @@ correlations of the kernels with the gradient of a function of the capture are g
 Dr.Jit differentiates `SignedRaySum.estimate`, which makes these of the radiances, batch by batch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import drjit as dr
 import numpy as np
@@ -21,7 +19,7 @@ from ..detector import PARTS, NonNegative, keep_spread, variance_left, with_spre
 from ..errors import warn
 from ..io import digest
 from ..optics import Spectrum
-from ..runtime import Doubles, Floats, Job, SumTask, check_memory, steps_counted
+from ..runtime import Doubles, Floats, Job, Sizes, SumTask, check_memory, steps_counted
 from ..scene import LightDerivatives, ReplayedLight, SceneLight
 from .expansion import ExpandedPlan, nearby
 from .phase_space import FINE, PhaseSpace
@@ -94,7 +92,7 @@ class SignedCapture:
         return nearby(self.camera, self.varying, self.accuracy)
 
     @cached_property
-    def weights(self) -> list[tuple[float, tuple[int, ...], Doubles]]:
+    def weights(self) -> list[tuple[float, Sizes, Doubles]]:
         """Each node's wavelength and channels, and the weights of a ray's values in the channels: see `Node`."""
         conversion = self.conversion
         wavelengths = np.array(self.spectrum.wavelengths)
@@ -115,7 +113,7 @@ class SignedCapture:
         return result
 
     @property
-    def kind(self) -> type[Any]:
+    def kind(self) -> type:
         """The kind of the sums of which a capture is the mean."""
         if self.camera.lens_data.images_stop:
             from .stop_sum import StopSum
@@ -124,7 +122,7 @@ class SignedCapture:
         return SignedRaySum
 
     def sums(
-        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None
+        self, spp: int, seed: int, runs: int, kind: Callable[..., Sum], light: Callable[..., list] | None = None
     ) -> list[Callable[[], Sum]]:
         """Return functions that construct the sums of `runs` independent captures, which divide the rays equally.
 
@@ -262,7 +260,7 @@ class SignedGradients:
                     light.propagate()
             return self._sum(partial(CameraAdjoint, names=names)).backward(linear) if names else {}
 
-    def _sum(self, kind: Callable[..., Sum], light: Callable[..., list[Any]] | None = None) -> Sum:
+    def _sum(self, kind: Callable[..., Sum], light: Callable[..., list] | None = None) -> Sum:
         return self.capture.sums(self.spp, self.seed, 1, kind, light)[0]()
 
     def _image(self, kind: Callable[..., SignedRaySum], light: LightDerivatives | None = None) -> Floats:

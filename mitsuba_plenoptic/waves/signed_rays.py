@@ -10,8 +10,6 @@ n, with the control variate c (`control_variate`),
 because the integrals of the coefficients over m are known. `SignedRaySum.estimate` is this formula.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math
@@ -101,7 +99,7 @@ class CellMeans(NamedTuple):
     index: Any
     cosines: Pair
     # For each image the values, cell by cell.
-    values: list[Any]
+    values: list
 
 
 class RaySum:
@@ -397,7 +395,7 @@ class SignedRaySum(RaySum):
                     if products:
                         yield
 
-    def _product(self, images: Array, values: list[Any], node_index: int, kind: int, node: CellMeans) -> Any:
+    def _product(self, images: Array, values: list, node_index: int, kind: int, node: CellMeans) -> Any:
         """Return the product of adjoint images (kernels, pixels) with the images of a node's values, with gradients."""
         terms = self._nodes[node_index].plan.oblique.terms(np.array([cosine.numpy() for cosine in node.cosines]))
         sets = zip(self._kernels[node_index][kind], self._rows[node_index][kind], strict=True)
@@ -481,12 +479,12 @@ class SignedRaySum(RaySum):
     def _cell_means(
         self,
         pixels: Any,
-        of_rays: list[Any],
-        radiance: list[Any],
+        of_rays: list,
+        radiance: list,
         controls: list[Pair],
-        mixtures: Sequence[tuple[list[int], list[list[Any]]]],
+        mixtures: Sequence[tuple[list[int], list]],
         numbers: Sequence[int],
-    ) -> list[list[list[Any]]]:
+    ) -> list[list]:
         """Return the mean values over the rays of each cell of some pixels, for each image of some nodes.
 
         `of_rays` are the rays' weights and the arguments of their coefficients.
@@ -502,7 +500,7 @@ class SignedRaySum(RaySum):
             for indices, weights in mixtures
         ]
 
-        def add(k: Any, means: list[list[list[Any]]]) -> tuple[Any, list[list[list[Any]]]]:
+        def add(k: Any, means: list[list]) -> tuple[Any, list[list]]:
             weight, *arguments = (at_rays(values, first + k) for values in of_rays)
             even = ((start + k) & 1) == 0
             result = []
@@ -537,12 +535,12 @@ class SignedRaySum(RaySum):
         rays = mi.Float(dr.opaque(mi.UInt32, self._spp * self._passes))
         return [[[value / rays for value in values] for values in images] for images in sums]
 
-    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list[Any]:
+    def _arguments(self, samples: RaySamples, walk: Walk, node_index: int) -> list:
         """Return the arguments of `_values` for rays."""
         ray = samples.ray
         return self._coefficients[node_index].places(samples.lens_point, samples.round_pupil, samples.chance, ray.valid)
 
-    def _values(self, node_index: int, arguments: list[Any]) -> list[tuple[list[Any], Any]]:
+    def _values(self, node_index: int, arguments: list) -> list[tuple[list, Any]]:
         """Return sets of values of a ray for each function, and the known mean of the first one; None for 1."""
         return [(self._coefficients[node_index].read(*arguments), None)]
 
@@ -567,7 +565,7 @@ def memory_of(pixels: float, rays: float, channels: Sequence[int]) -> float:
     return blocks + spectra + len(channels) * 40 * 2**20 + 100 * min(_LANES, rays) + 8 * pixels
 
 
-def _sampler_of(camera: PlenopticCamera) -> type[Any]:
+def _sampler_of(camera: PlenopticCamera) -> type:
     """Return the kind of sampler of a camera's rays."""
     if camera.lens_data.images_stop:
         from .stop_image import StopSampler

@@ -25,7 +25,7 @@ from ..camera import PlenopticCamera
 from ..fields import OpticalSystem
 from ..optics import Spectrum, in_millimetres, interpolated
 from ..rays import even_words
-from ..runtime import Doubles, Pair, drjit_array
+from ..runtime import Doubles, Pair, Sizes, drjit_array
 from .accuracy import USUAL
 from .scheme import diffraction_of
 
@@ -36,12 +36,12 @@ _STRATA = 4096
 class RayWavelengths(NamedTuple):
     """Wavelengths in nanometres of rays, one list entry for each value of their light."""
 
-    wavelengths: list[Any]
+    wavelengths: list
     # Index of the stratum in which each lies, and its position there from 0 to 1.
-    stratum: list[Any]
-    position: list[Any]
+    stratum: list
+    position: list
     # Reciprocal of the product of their count and the density.
-    weight: list[Any]
+    weight: list
 
 
 class WavelengthSampler:
@@ -90,12 +90,12 @@ class Node:
     # Coefficients and kernels of the camera at this wavelength.
     plan: Any
     # Channels of the capture that have an image at this node.
-    channels: tuple[int, ...]
+    channels: Sizes
     # Weights of the values of a ray's light in the image of each of these channels, an array (channels, values). For
     # drawn wavelengths, the values are those at the edges of the strata.
     weights: Doubles
 
-    def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list[list[Any]]]:
+    def mixture(self, rays: RayWavelengths | None = None) -> tuple[list[int], list]:
         """Return the indices of the values used, and their weights for each channel; by cell, for drawn wavelengths."""
         if rays is None:
             indices = np.flatnonzero(self.weights.any(0)).tolist()
@@ -116,7 +116,7 @@ class Node:
         return list(range(len(rays.weight))), mixtures
 
 
-def mixed(weights: Sequence[Any], values: Sequence[Any]) -> Any:
+def mixed(weights: Sequence, values: Sequence) -> Any:
     """Return the weighted sum of the values."""
     return sum((weight * value for weight, value in zip(weights, values, strict=True)), start=mi.Float(0))
 

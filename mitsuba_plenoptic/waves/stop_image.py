@@ -152,7 +152,7 @@ class LensDiffraction(PupilDiffraction):
         """Functions of a ray's point on the lens."""
         return LegendreProducts(*spread_points(self._pupil.power), self._degree, self._is_whole)
 
-    def arguments(self, point: Pair, pupil: Pair) -> list[Any]:
+    def arguments(self, point: Pair, pupil: Pair) -> list:
         """Return the numbers of which a ray's coefficients are polynomials: its point on the lens over the reach."""
         return [coordinate / dr.opaque(mi.Float, self._reach) for coordinate in point]
 

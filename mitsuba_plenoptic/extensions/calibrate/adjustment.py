@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import refuse_if
-from ...runtime import Array, single_threaded_blas
+from ...runtime import Array, Pair, Triple, single_threaded_blas
 from .board_model import AT, NAMES, Observations, predict, predict_centres
 
 # Rows beyond this number of deviations are outliers: they are named, and do not count in a fit. In data with normal
@@ -40,7 +40,7 @@ def huber(distance: Array) -> Array:
     return bound / np.maximum(distance, bound)
 
 
-def robust_lines(matrix: Array, values: Array) -> tuple[Array, Array, Array]:
+def robust_lines(matrix: Array, values: Array) -> Triple:
     """Return coefficients that solve linear equations for positions, if more than half of the equations hold.
 
     The least sum of distances shows which rows are outliers; the others are then fitted by least squares.
@@ -50,7 +50,7 @@ def robust_lines(matrix: Array, values: Array) -> tuple[Array, Array, Array]:
     scale = np.sqrt((matrix**2).sum((0, 1)))
     matrix = matrix / np.where(scale > 0, scale, 1)
 
-    def solve(weights: Array) -> tuple[Array, Array]:
+    def solve(weights: Array) -> Pair:
         root = np.sqrt(weights)
         rows = (matrix * root[:, None, None]).reshape(-1, matrix.shape[2])
         solution = np.linalg.lstsq(rows, (values * root[:, None]).ravel())[0]
@@ -108,8 +108,13 @@ class Problem:
 
     def residuals(self, numbers: Array, poses: Array) -> np.ndarray:
         """Return predicted minus observed positions of the corners, (n, 2)."""
+        off = -self.observed
         with np.errstate(all="ignore"):
-            return predict(numbers, poses, self.corners, grid=self.grid, **self.geometry)[0] - self.observed
+            # Pose by pose, as derivatives of all corners take much memory.
+            for pose in range(len(poses)):
+                rows = self.corners.pose == pose
+                off[rows] += predict(numbers, poses, self.corners.keep(rows), grid=self.grid, **self.geometry)[0]
+        return off
 
     def centre_residuals(self, numbers: Array) -> Array:
         """Return predicted minus observed pixels of the centres, (n, 2)."""
@@ -129,12 +134,14 @@ class Problem:
 
         The result has the shape (6, 6 + free + 1), (rows, free + 1).
         """
-        pixel, by_numbers, by_pose = predict(numbers, poses, self.corners, grid=self.grid, **self.geometry)
-        rows = (
-            np.concatenate([by_pose, by_numbers[:, :, free], (self.observed - pixel)[:, :, None]], axis=2)
-            * np.sqrt(weights)[:, None, None]
-        )
-        triangles = [_triangle(rows[self.corners.pose == index]) for index in range(len(poses))]
+        triangles = []
+        for pose in range(len(poses)):
+            chosen = self.corners.pose == pose
+            corners = self.corners.keep(chosen)
+            pixel, by_numbers, by_pose = predict(numbers, poses, corners, grid=self.grid, **self.geometry)
+            off = (self.observed[chosen] - pixel)[:, :, None]
+            rows = np.concatenate([by_pose, by_numbers[:, :, free], off], axis=2)
+            triangles.append(_triangle(rows * np.sqrt(weights[chosen])[:, None, None]))
         camera = [triangle[6:, 6:] for triangle in triangles]
         if self.centres is not None:
             pixel, by_numbers = predict_centres(numbers, self.centres.lens, **self.geometry)
@@ -161,8 +168,6 @@ class Adjusted:
     poses: Array
     # Half the weighted sum of squares.
     cost: float
-    # How often the linear system was solved.
-    steps: int
 
 
 @single_threaded_blas()
@@ -177,9 +182,10 @@ def adjust(
 ) -> Adjusted:
     """Return the camera parameters and poses that minimise the weighted sum of squared residuals.
 
-    Shapes: `weights` (n,).
+    A bent board's shape is fitted with any parameter of the camera. Shapes: `weights` (n,).
     """
-    free_index = np.array([AT[name] for name in free], dtype=int)
+    shape = range(len(NAMES), len(numbers)) if free else ()
+    free_index = np.array([*(AT[name] for name in free), *shape], dtype=int)
     weights = np.ones(len(problem.corners)) if weights is None else weights
     cost = problem.cost(numbers, poses, weights)
     refuse_if(
@@ -207,7 +213,7 @@ def adjust(
                 break
             damping *= 8
             if damping > 1e10:
-                return Adjusted(numbers, poses, cost, steps)
+                return Adjusted(numbers, poses, cost)
         gain = cost - new_cost
         numbers = new
         poses = new_poses
@@ -215,7 +221,7 @@ def adjust(
         damping = max(damping / 10, 1e-12)
         if gain <= 1e-8 * cost:
             break
-    return Adjusted(numbers, poses, cost, steps)
+    return Adjusted(numbers, poses, cost)
 
 
 def adjust_poses(problem: Problem, numbers: Array, poses: Array, weights: Array) -> Array:
@@ -232,7 +238,7 @@ def adjust_poses(problem: Problem, numbers: Array, poses: Array, weights: Array)
     return np.where((squares[1] < squares[0])[:, None], mirrored, fitted)
 
 
-def _solve(triangles: list[Array], camera: Array, camera_damping: Array, pose_damping: Array) -> tuple[Array, Array]:
+def _solve(triangles: list[Array], camera: Array, camera_damping: Array, pose_damping: Array) -> Pair:
     """Return the steps of camera and poses that solve the damped linear system, its columns scaled to equal norms."""
     reduced = [camera, np.pad(np.diag(camera_damping), ((0, 0), (0, 1)))]
     heads = []

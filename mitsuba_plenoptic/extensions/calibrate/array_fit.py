@@ -86,7 +86,7 @@ def fit_array(pixels: Array, index: Array, camera: PlenopticCamera) -> ArrayFit:
     row = np.linalg.det([along, across]) / pitch
     start = [pitch, row, math.atan2(along[1], along[0]), *middle]
 
-    def placed(numbers: Array) -> tuple[Array, Array]:
+    def placed(numbers: Array) -> Pair:
         """Return places (n, 2), and their derivatives by the numbers, but for the small gradient of the warp."""
         pitch, row, angle = numbers[:3]
         axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])

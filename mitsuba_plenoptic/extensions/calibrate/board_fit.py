@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_camera, require_support
-from ...errors import InputError, naming, refuse_if, suggest_keywords
+from ...errors import InputError, naming, refuse_if, suggest_keywords, warn
 from ...runtime import Array
 from .adjustment import Adjusted, Problem, adjust, adjust_poses, both_axes, deviation, huber, outlying, robust_lines
 from .blur import fit_blur
@@ -40,7 +40,15 @@ _CORRELATED = 16
 
 
 @suggest_keywords
-def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Table | None = None) -> Calibration:
+def calibrate(
+    corners: Table,
+    board: Board,
+    start: PlenopticCamera,
+    centres: Table | None = None,
+    *,
+    fills_pupil: bool = False,
+    bent: bool = False,
+) -> Calibration:
     """Return a camera, and the poses of a board, fitted to corners seen through its microlenses.
 
     Outliers, rows far from the positions that the other rows predict, are left out of the fit and named
@@ -58,6 +66,11 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     centres : Table, optional
         Centres of micro-images, fitted jointly. Without centres, pitch and focal length are strongly correlated, and
         centres are assumed near the corners.
+    fills_pupil : bool
+        Whether micro-images that touch show the whole pupil, as the samples of each lens of a light field do, so that
+        their pitch tells the f-number instead of `start`.
+    bent : bool
+        Whether the board's shape is fitted, too, as a polynomial of degree 5.
 
     Raises
     ------
@@ -89,10 +102,9 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     problem = Problem(observed, start.pixel_size, start.lattice.row_ratio)
     if in_views:
         problem = replace(problem, grid=grid)
-        numbers, poses, good = view_start(problem, start, frames)
+        numbers, poses, good = view_start(problem, board, start, frames)
         # In pitches, for a first fit.
         noise = 0.05
-        problem = replace(problem, known=known_beforehand(start, noise))
     else:
         numbers, poses, good = start_values(problem, board, frames, grid, middle)
         noise = max(deviation(np.hypot(*problem.residuals(numbers, poses)[good].T)), 1e-3)
@@ -101,16 +113,24 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         problem = _with_centres(problem, centres, inliers, index, noise / scatter)
     else:
         problem = _through_pupil(problem, problem.residuals(numbers, poses), good)
+    shapes = board.shapes(corners["cluster"])[:, : None if bent else 0]
+
+    def known(noise: float) -> Array:
+        """Return what is known beforehand, with weights; a bent board's shapes are some hundredths of its length."""
+        of_camera = known_beforehand(start, noise) if in_views else np.zeros((2, len(NAMES)))
+        weight = 50 * noise / (board.square * max(board.columns, board.rows))
+        return np.concatenate([of_camera, np.outer([0.0, weight], np.ones(shapes.shape[1]))], axis=1)
+
+    problem = replace(problem, corners=replace(problem.corners, bend=shapes), known=known(noise))
+    numbers = np.append(numbers, np.zeros(shapes.shape[1]))
     weights = np.where(good, huber(np.hypot(*problem.residuals(numbers, poses).T)), 0.0)
     fit = adjust(problem, numbers, poses, weights=weights)
-    steps = 0
     for _ in range(10):
-        steps += fit.steps
         before = weights
         weights = _weights(problem, fit, frames)
         if in_views:
             noise = max(deviation(np.hypot(*problem.residuals(fit.numbers, fit.poses).T)), 1e-3)
-            problem = replace(problem, centre_weight=noise / scatter, known=known_beforehand(start, noise))
+            problem = replace(problem, centre_weight=noise / scatter, known=known(noise))
         fit = adjust(problem, fit.numbers, fit.poses, weights=weights)
         if ((before > 0) == (weights > 0)).all():
             break
@@ -121,14 +141,25 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
     final = adjust(problem, fit.numbers, fit.poses, free_names, weights)
     covariance, disagreement, by_frames, held_out = fit_covariance(problem, final, weights)
     deviations = np.sqrt(np.diag(covariance))
+    count = len(NAMES)
     beyond = prediction_deviation(problem, final, covariance)
     refuse_if(
         not beyond < 1.0,
         f"corners: they leave open where this camera sees boards in other poses, +- {beyond:.2g} pixels: {REMEDY}",
     )
+    if fills_pupil:
+        f, b, z = final.numbers[:3]
+        width = np.hypot(*grid[1]) * start.pixel_size * b / z
+        start = start.replace(aperture_radius=start.focal_length * width / (2 * f))
     _require_matching_pupil(problem, final, weights, start, board, float(np.hypot(*grid[1])), deviations[0])
+    f2 = start.mla_focal_lengths[0]
+    if in_views and not fills_pupil and abs(final.numbers[2] - f2) > 0.1 * f2:
+        warn(
+            f"corners: with squares of {board.square:g} mm detector_distance is {final.numbers[2]:.4g} mm, far from "
+            f"the data sheet's focal length of the microlenses, {f2:.4g} mm: check the sizes of squares and pixels"
+        )
     with naming("corners: the parameters that fit them best are no camera; cover more of it"):
-        camera = camera_of(final.numbers, start)
+        camera = camera_of(final.numbers[:count], start)
         if in_views and start.mla_focal_lengths == (start.detector_distance,):
             # Corners do not tell it: lenses are taken as focused at infinity.
             camera = camera.replace(mla_focal_length=camera.detector_distance)
@@ -150,18 +181,21 @@ def calibrate(corners: Table, board: Board, start: PlenopticCamera, centres: Tab
         camera,
         index,
         _evaluation(problem, final.numbers, final.poses, frames),
-        dict(zip(NAMES, final.numbers.tolist(), strict=True)),
-        dict(zip(NAMES, deviations.tolist(), strict=True)),
-        covariance / np.outer(deviations, deviations),
+        dict(zip(NAMES, final.numbers[:count].tolist(), strict=True)),
+        dict(zip(NAMES, deviations[:count].tolist(), strict=True)),
+        (covariance / np.outer(deviations, deviations))[:count, :count],
         centre_residuals,
-        steps + fit.steps + final.steps,
         blur,
         disagreement,
         by_frames,
         centre_outliers,
         beyond,
         held_out,
-        {NAMES[at]: float(deviations[at]) for at in np.flatnonzero(problem.known[1] * deviations > 0.7 * noise)},
+        {
+            NAMES[at]: float(deviations[at])
+            for at in np.flatnonzero((problem.known[1] * deviations)[:count] > 0.7 * noise)
+        },
+        board.shapes(np.arange(board.columns * board.rows)) @ final.numbers[count:] if bent else np.zeros(0),
     )
 
 

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera, part_units, parts_of, with_parts
 from ...lenses import undistort
-from ...runtime import Array
+from ...runtime import Array, Pair, Triple
 
 CALIBRATED = (
     "focal_length",
@@ -70,12 +70,15 @@ class Observations:
         Position of the corner on its board in mm.
     pose : (n,) array
         Index of the board's pose, from 0.
+    bend : (n, terms) array, optional
+        Shapes of a bent board at the corner, in mm; numbers that follow those of the camera multiply them.
     """
 
     lens: Array
     pixel: Array
     board: Array
     pose: Array
+    bend: Array | None = None
 
     def __len__(self) -> int:
         return len(self.pixel)
@@ -87,7 +90,8 @@ class Observations:
 
     def keep(self, chosen: Array) -> Observations:
         """Return the observations in the chosen rows."""
-        return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen])
+        bend = None if self.bend is None else self.bend[chosen]
+        return Observations(self.lens[chosen], self.pixel[chosen], self.board[chosen], self.pose[chosen], bend)
 
 
 def _left_jacobian(vector: Array) -> Array:
@@ -105,7 +109,7 @@ def _inverse(matrix: Array) -> Array:
     return (np.stack([d, -b, -c, a]) / (a * d - b * c)).T.reshape(-1, 2, 2)
 
 
-def _axes(numbers: Array) -> tuple[Array, Array]:
+def _axes(numbers: Array) -> Pair:
     """Return the steps of the lattice's axes, columns of (2, 2), in mm, and the slopes of the tilted array."""
     angle = np.deg2rad(numbers[5])
     rows = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -118,7 +122,7 @@ def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array
     unit = lens * [1.0, row_ratio]
     spoke = unit @ axes.T
     c = spoke + numbers[OFFSET]
-    c_by = np.zeros((len(lens), 2, len(NAMES)))
+    c_by = np.zeros((len(lens), 2, len(numbers)))
     # Pitches, rotation, offset, and below the tilt.
     c_by[:, :, 3:5] = unit[:, None] * (axes / numbers[3:5])
     c_by[:, :, 5] = np.deg2rad(spoke[:, ::-1] * [-1, 1])
@@ -128,14 +132,14 @@ def _lenses(numbers: Array, lens: Array, row_ratio: float) -> tuple[Array, Array
     return c, c @ slopes, c_by, h_by
 
 
-def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> tuple[Array, Array]:
+def _pixels(numbers: Array, p: Array, p_by: Array, pixel_size: float) -> Pair:
     """Return positions on the detector and their derivatives, converted to pixels."""
     by_numbers = p_by / pixel_size
     by_numbers[:, :, PRINCIPAL] += np.eye(2)
     return p / pixel_size + numbers[PRINCIPAL], by_numbers
 
 
-def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> tuple[Array, Array]:
+def predict_centres(numbers: Array, lens: Array, *, pixel_size: float, row_ratio: float) -> Pair:
     r"""Return the centres of micro-images, where the chief ray of each lens meets the detector.
 
     :math:`c + (z + h) c / (b - h)`, for the ray through the centres of pupil and lens.
@@ -167,24 +171,29 @@ def predict(
     pixel_size: float,
     row_ratio: float,
     grid: Array | None = None,
-) -> tuple[Array, Array, Array]:
+) -> Triple:
     """Return the predicted positions of corners in pixels, and the derivatives of these positions.
 
     With a grid of lenses in pixels, (3, 2), corners are seen in views instead: a view is what pixels at one place
     beside the grid's lenses see, and the position of the lens is predicted, in pitches along x and y of the lattice.
 
-    Shapes: `numbers` (17,), `poses` (poses, 6); the result (n, 2), (n, 2, 17), (n, 2, 6).
+    Shapes: `numbers` (17 + terms,), `poses` (poses, 6); the result (n, 2), (n, 2, 17 + terms), (n, 2, 6).
     """
     f, b, z = numbers[:3]
     n = len(observed)
     # The point and its image.
-    corner = np.concatenate([observed.board, np.zeros((n, 1))], axis=1)
+    corner = np.pad(observed.board, ((0, 0), (0, 1)))
+    bend = np.zeros((n, 0)) if observed.bend is None else observed.bend
+    corner[:, 2] = bend @ numbers[len(NAMES) :]
+    normal = np.empty((n, 3, 1))
     X = np.empty((n, 3))
     X_by = np.zeros((n, 3, 6))
     for index, pose in enumerate(poses):
         of_pose = observed.pose == index
-        rotated = Rotation.from_rotvec(pose[:3]).apply(corner[of_pose])
+        rotation = Rotation.from_rotvec(pose[:3])
+        rotated = rotation.apply(corner[of_pose])
         X[of_pose] = rotated + pose[3:]
+        normal[of_pose] = rotation.apply([[0.0, 0.0, 1.0]]).T
         by_rotated = np.cross(_left_jacobian(pose[:3]), np.eye(3)[:, None], axisa=0, axisc=1)
         X_by[of_pose, :, :3] = np.tensordot(rotated, by_rotated, 1)
         X_by[of_pose, :, 3:] = np.eye(3)
@@ -193,8 +202,8 @@ def predict(
     beyond = np.where(g > f, g - f, np.nan)
     q = -X[:, :2] * (f / beyond)[:, None]
     gamma = g * f / (beyond * b)
-    q_by = np.zeros((n, 2, len(NAMES)))
-    gamma_by = np.zeros((n, len(NAMES)))
+    q_by = np.zeros((n, 2, len(numbers)))
+    gamma_by = np.zeros((n, len(numbers)))
     q_by[:, :, 0] = -X[:, :2] * (g / beyond**2)[:, None]
     gamma_by[:, 0] = g**2 / (beyond**2 * b)
     gamma_by[:, 1] = -gamma / b
@@ -213,10 +222,10 @@ def predict(
             t = (c - p - found @ p_by_lens.T) / (z + h)[:, None]
         m = c - h[:, None] * t
         P = c + (b - h)[:, None] * t
-        source, bend, source_by = _undistorted(m, numbers[12:])
+        source, turned, source_by = _undistorted(m, numbers[12 : len(NAMES)])
         miss = P * (1 - gamma)[:, None] + gamma[:, None] * source - q
-        by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * bend
-        by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * bend
+        by_c = (1 - gamma)[:, None, None] * np.eye(2) + gamma[:, None, None] * turned
+        by_t = ((b - h) * (1 - gamma))[:, None, None] * np.eye(2) - (gamma * h)[:, None, None] * turned
         by_h = -np.einsum("nab,nb->na", by_c, t)
         by_found = by_t
         if grid is not None:
@@ -229,7 +238,7 @@ def predict(
     by_h = -np.einsum("nab,nb->na", by_c, t)
     miss_by = by_c @ c_by + by_h[:, :, None] * h_by[:, None] + (source - P)[:, :, None] * gamma_by[:, None] - q_by
     miss_by[:, :, 1] += (1 - gamma)[:, None] * t
-    miss_by[:, :, 12:] += gamma[:, None, None] * source_by
+    miss_by[:, :, 12 : len(NAMES)] += gamma[:, None, None] * source_by
     by_X = np.zeros((n, 2, 3))
     by_X[:, 0, 0] = by_X[:, 1, 1] = -f / beyond
     by_X[:, :, 2] = (source - P) * (f**2 / (beyond**2 * b))[:, None] - q / beyond[:, None]
@@ -239,11 +248,14 @@ def predict(
         t_by[:, :, 2] -= t
         t_by[:, :, PRINCIPAL] += pixel_size * np.eye(2)
         miss_by += by_t @ t_by / (z + h)[:, None, None]
-        return observed.lens * [1.0, row_ratio] + found, -inverse @ miss_by, by_pose
-    p_by = c_by + (z + h)[:, None, None] * (inverse @ miss_by) - t[:, :, None] * h_by[:, None]
-    p_by[:, :, 2] -= t
-    pixel, by_numbers = _pixels(numbers, c - (z + h)[:, None] * t, p_by, pixel_size)
-    return pixel, by_numbers, by_pose * (-(z + h) / pixel_size)[:, None, None]
+        place, by_numbers = observed.lens * [1.0, row_ratio] + found, -inverse @ miss_by
+    else:
+        p_by = c_by + (z + h)[:, None, None] * (inverse @ miss_by) - t[:, :, None] * h_by[:, None]
+        p_by[:, :, 2] -= t
+        place, by_numbers = _pixels(numbers, c - (z + h)[:, None] * t, p_by, pixel_size)
+        by_pose *= (-(z + h) / pixel_size)[:, None, None]
+    by_numbers[:, :, len(NAMES) :] = by_pose[:, :, 3:] @ normal * bend[:, None]
+    return place, by_numbers, by_pose
 
 
 def camera_of(numbers: Array, like: PlenopticCamera) -> PlenopticCamera:
@@ -283,7 +295,7 @@ def numbers_of(camera: PlenopticCamera) -> Array:
     return np.concatenate([*values.values(), principal, camera.distortion])
 
 
-def _undistorted(m: Array, distortion: Array) -> tuple[Array, Array, Array]:
+def _undistorted(m: Array, distortion: Array) -> Triple:
     """Return the undistorted positions U(m) in mm for positions (n, 2), with derivatives by these and the distortion.
 
     The derivatives have the shapes (n, 2, 2) and (n, 2, 5).

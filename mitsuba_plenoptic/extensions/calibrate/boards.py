@@ -19,7 +19,7 @@ from scipy.special import erf
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, require_module
-from ...runtime import Array, Named, set_variant
+from ...runtime import Array, Named, Pair, Triple, set_variant
 from .observations import Board
 
 # Lenses of which a position of the view is the mean.
@@ -99,7 +99,7 @@ def _positions(picture: Picture, step: float) -> Array:
     return np.stack(np.meshgrid(np.arange(0, columns, step), np.arange(0, rows, step)), axis=-1)
 
 
-def _seen(picture: Picture, position: Array, lens: Array, disparity: float) -> tuple[Array, Array]:
+def _seen(picture: Picture, position: Array, lens: Array, disparity: float) -> Pair:
     """Return the mean, over lenses, of their views of positions, and its variance (NaN for a single view).
 
     `position` is (n, 2), `lens` (n, lenses).
@@ -216,7 +216,7 @@ def find_saddles(
     half = int(np.ceil(_WINDOW * radius))
     steps = np.indices((2 * half + 1,) * 2)[::-1].reshape(2, -1).T - half
 
-    def fitted(rows: Array) -> tuple[Array, Array, Array]:
+    def fitted(rows: Array) -> Triple:
         start = position[rows]
         # Cut off at the rim of the micro-image alone, a window would draw the corner to one side.
         reach = (radius - np.hypot(*(start - centre[rows]).T)).clip(2.0, _WINDOW * radius)[:, None]
@@ -234,7 +234,7 @@ def find_saddles(
     return Saddles(*map(np.concatenate, zip(*map(fitted, blocks), strict=True)))
 
 
-def located(shown_at: Array, value: Array, w: Array, start: Array, angles: Array) -> tuple[Array, Array, Array]:
+def located(shown_at: Array, value: Array, w: Array, start: Array, angles: Array) -> Triple:
     """Return the `Saddles` (n,) fitted to weighted values at places (n, pixels, 2), as a tuple."""
     total = w.sum(1)
     p = np.column_stack([start, angles, np.full(len(start), np.log(1.2))])

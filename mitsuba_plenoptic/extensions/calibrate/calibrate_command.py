@@ -14,6 +14,7 @@ report : FILE.html
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ... import choices
-from ...cli import inputs, options
+from ...cli import inputs, options, stopping
 from ...errors import InputError, content_of, naming, refuse_if
 from ...runtime import progress_bar
 
@@ -163,6 +164,7 @@ def boards(
     white: options.Existing | None = None,
     centres: options.Existing | None = None,
     linear: bool = False,
+    bent: bool = False,
     report: Annotated[Path, options.ends_in(".html")] | None = None,
 ) -> None:
     """Fit a camera to a checkerboard in several poses: to its corners, or to raw pictures of it.
@@ -173,14 +175,17 @@ def boards(
     Parameters
     ----------
     sources : CORNERS.csv | PICTURE...
-        Corners of the board, as 'calibrate corners' writes them, or raw pictures of it, one for each pose.
+        Corners of the board, as 'calibrate corners' writes them, or raw pictures of it, one for each pose; or light
+        fields (.mat, .eslf.png, .nc).
     output : FILE.json
         File to write: the camera.
     white : FILE | FOLDER
-        For pictures: a white picture of the same camera, or a folder of those of a Lytro camera.
+        For raw pictures: a white picture of the same camera, or a folder of those of a Lytro camera.
     centres : FILE
         Centres of micro-images, fitted jointly, as 'calibrate centres' writes them, or those of LFToolbox and
         PlenoptiCam (.json).
+    bent
+        Fit the board's shape, too, as of paper that does not lie flat.
 
     Examples
     --------
@@ -194,31 +199,38 @@ def boards(
     from . import calibration
     from .board_model import UNITS
     from .calibration_result import summary
+    from .picture_corners import corners_of_pictures, is_light_field
 
     size = calibration.Board.parse(board, square)
     middles = None if centres is None else calibration.read_centres(centres)
     start = None if camera is None else inputs.load_camera(camera, {})[0]
     tables = [path for path in sources if path.suffix.lower() == ".csv"]
     refuse_if(tables and len(sources) > 1, f"{sources[0]}: give one table of corners, or pictures")
-    if not tables:
-        from .picture_corners import corners_of_pictures
-
-        with progress_bar("Finding corners") as progress:
-            start, table, middles = corners_of_pictures(sources, white, size, start, middles, linear, progress)
-        for frame, path in enumerate(sources):
-            rows = table.keep(table["frame"] == frame)
-            typer.echo(f"frame {frame}, {path.name}: {len(set(rows['cluster']))} corners, seen {len(rows['u'])} times")
-    else:
-        if start is None:
-            raise InputError("--camera: a table of corners needs it")
-        inputs.refuse_options("a table of corners", white=white, linear=linear)
-        table = calibration.read_corners(sources[0], size, start.crop_size)
-    result = calibration.calibrate(table, size, start, middles)
-    calibration.write_calibration(output, result, size)
+    without_raw = is_light_field(sources[0])
+    # Until the camera is written: corners that are found serve another try.
+    with contextlib.nullcontext() if tables else stopping.checkpoint_of(output, False) as saved:
+        if saved is None:
+            if start is None:
+                raise InputError("--camera: a table of corners needs it")
+            inputs.refuse_options("a table of corners", white=white, linear=linear)
+            table = calibration.read_corners(sources[0], size, start.crop_size)
+        else:
+            if without_raw:
+                inputs.refuse_options("a light field", white=white, camera=camera, centres=centres, linear=linear)
+            with progress_bar("Finding corners") as progress, stopping.resumable(progress, saved):
+                start, table, middles = corners_of_pictures(
+                    sources, white, size, start, middles, linear, saved, progress
+                )
+            for frame, path in enumerate(sources):
+                rows = table.keep(table["frame"] == frame)
+                seen = f"{len(set(rows['cluster']))} corners, seen {len(rows['u'])} times"
+                typer.echo(f"frame {frame}, {path.name}: {seen}")
+        result = calibration.calibrate(table, size, start, middles, fills_pupil=without_raw, bent=bent)
+        calibration.write_calibration(output, result, size)
     if report:
         from .calibration_page import write_calibration_report
 
-        write_calibration_report(report, result, size, table, middles)
+        write_calibration_report(report, result, size, table, middles, () if tables else sources)
     for name, value in result.numbers.items():
         typer.echo(f"{name:>18} {value:14.7g} +- {result.deviations[name]:.2g} {UNITS[name]}".rstrip())
     *lines, error = summary(result, _NAMED)

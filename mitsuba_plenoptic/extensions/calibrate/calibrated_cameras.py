@@ -41,6 +41,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
             "(0, 0) is the centre of its first pixel",
         },
         "board": {"columns": board.columns, "rows": board.rows, "square_mm": board.square},
+        "board_heights_mm": calibration.board_heights.tolist(),
         "reprojection_error_px": evaluation.error,
         "reprojection_error_without_outliers_px": evaluation.error_without_outliers,
         "centre_error_px": calibration.centre_error,

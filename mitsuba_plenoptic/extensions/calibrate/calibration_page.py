@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from skimage.measure import block_reduce
 
 from ...report import pages, plots
 from ...runtime import Array
@@ -14,6 +15,7 @@ from .board_model import UNITS
 from .calibration_result import Calibration, ResidualMap, field_cells, group_means, residual_map, summary
 from .observations import Board, placed
 from .observations import Table as Corners
+from .picture_corners import grey, recorded
 
 # Cells across the detector of which the mean residual is drawn, and how much it is enlarged there.
 _CELLS = 24
@@ -24,14 +26,20 @@ _PARTS = 6
 
 
 def write_calibration_report(
-    path: str | Path, calibration: Calibration, board: Board, corners: Corners, centres: Corners | None
+    path: str | Path,
+    calibration: Calibration,
+    board: Board,
+    corners: Corners,
+    centres: Corners | None,
+    pictures: Sequence[Path] = (),
 ) -> None:
-    """Write the report on a calibration as an HTML page."""
+    """Write the report on a calibration as an HTML page, with the corners on the raw pictures if these are given."""
     size = calibration.camera.crop_size
     evaluation = calibration.evaluation
     outliers = evaluation.outliers
     lens = residual_map(calibration, board, corners, "view" if corners.in_views else "lens", 1)
     # Rows far off would hide in means what the others show.
+    found = [pages.Picture(on_pictures(pictures, corners).png(), "Corners that were found.")] if pictures else []
     usual = replace(calibration, evaluation=evaluation.without_outliers())
     corners = corners.keep(np.delete(np.arange(len(evaluation.residuals)), outliers))
     field, depth = (
@@ -69,7 +77,7 @@ def write_calibration_report(
     picture = pages.Picture(boards(calibration, board).png(), "Boards before the camera.")
     sections = [
         pages.Section("Numbers", [numbers, lines]),
-        pages.Section("Poses", [picture, pages.Table(columns, poses)]),
+        pages.Section("Poses", [picture, pages.Table(columns, poses), *found]),
         pages.Section("Residuals", residuals),
     ]
     lead = f"{error[0].upper()}{error[1:]} (root mean square of two-dimensional distances, every row counted)."
@@ -79,6 +87,22 @@ def write_calibration_report(
 def _ranges(title: str, ranges: Iterable[Sequence[float]]) -> pages.Table:
     """Return the errors in ranges of a quantity."""
     return pages.Table({title: "{0:.0f} to {1:.0f}", "observations": "{2}", "error": "{3:.4f}"}, ranges)
+
+
+@plots.styled
+def on_pictures(pictures: Sequence[Path], corners: Corners) -> plots.Plot:
+    """Return a figure of raw pictures, coarsely sampled, with the corners in each at their places."""
+    plot = plots.Plot(8.0)
+    axes = plot.panels(-(-len(pictures) // 4), 4).flat
+    for frame, path in enumerate(pictures):
+        image = grey(recorded(path, True))
+        # So coarse that micro-images are not told apart.
+        step = -(-max(image.shape) // 200)
+        plots.show(axes[frame], block_reduce(image, step, np.mean), f"{frame}")
+        seen = corners.keep(corners["frame"] == frame)
+        x, y = (seen[name] / step for name in ("xy" if seen.in_views else "uv"))
+        axes[frame].plot(x, y, ",", color=plots.ACCENT)
+    return plot
 
 
 @plots.styled

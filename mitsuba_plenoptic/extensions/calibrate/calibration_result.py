@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from ...camera import PlenopticCamera
-from ...runtime import Array
+from ...runtime import Array, Pair
 from .adjustment import Adjusted, Problem, outlying, rms
 from .blur import Blur
 from .board_model import NAMES, UNITS, centres_of, predict_centres
@@ -95,8 +95,6 @@ class Calibration:
         Correlations of the parameters' errors.
     centre_residuals : (n, 2) array
         Residuals of the given centres.
-    steps : int
-        Number of solutions of the linear system.
     blur : Blur, optional
         The microlenses' focal lengths from blur radii, where the corners have them.
     disagreement : float
@@ -113,6 +111,8 @@ class Calibration:
     assumed : dict
         Of corners in views: numbers that the data leave open, with deviations, mostly those assumed for them from 0 or
         from the middle of the picture.
+    board_heights : (corners,) array
+        Of a bent board: how far each corner lies behind the plane through all, in mm.
     """
 
     camera: PlenopticCamera
@@ -122,14 +122,14 @@ class Calibration:
     deviations: dict[str, float]
     correlation: Array
     centre_residuals: Array
-    steps: int
-    blur: Blur | None = None
-    disagreement: float = 1.0
-    by_frames: bool = False
-    centre_outliers: Array = field(default_factory=lambda: np.zeros(0, dtype=int))
-    prediction_deviation: float = 0.0
-    held_out: Array = field(default_factory=lambda: np.zeros(1))
-    assumed: dict[str, float] = field(default_factory=dict)
+    blur: Blur | None
+    disagreement: float
+    by_frames: bool
+    centre_outliers: Array
+    prediction_deviation: float
+    held_out: Array
+    assumed: dict[str, float]
+    board_heights: Array
 
     @property
     def centre_error(self) -> float | None:
@@ -187,7 +187,7 @@ class ResidualMap:
         Identity of the group. ``lens``: indices k, l as in the data, and the camera's centre u, v of the
         micro-image in pixels; ``view``: least and greatest distance of its pixels
         from the lenses' centres; ``field``: middle of a square of the detector, in pixels;
-        ``depth``: least and greatest distance of the corners, in mm; ``pose``: number of the frame.
+        ``depth``: least and greatest distance of the corners, in mm.
     count : (groups,) int array
         Number of observations in each group.
     mean : (groups, 2) array
@@ -204,7 +204,7 @@ class ResidualMap:
 
 
 def residual_map(calibration: Calibration, board: Board, corners: Table, by: str, parts: int = 6) -> ResidualMap:
-    """Return the residuals of a calibration's corners in groups by lens, view, field, depth or pose.
+    """Return the residuals of a calibration's corners in groups by lens, view, field or depth.
 
     `parts` are squares of the field along the detector's rows, or ranges of depth with as many observations each.
     """
@@ -220,28 +220,26 @@ def residual_map(calibration: Calibration, board: Board, corners: Table, by: str
         key = np.stack([key, key], axis=-1)
     elif by == "field":
         key, group = field_cells(corners.pixel, camera.crop_size[0] / parts)
-    elif by == "depth":
+    else:
         depth = placed(board.places(corners["cluster"]), evaluation.poses, evaluation.pose)[:, 2]
         group = np.empty_like(group)
         ranges = [rows for rows in np.array_split(np.argsort(depth, kind="stable"), parts) if len(rows)]
         for index, rows in enumerate(ranges):
             group[rows] = index
         key = np.array([depth[rows[[0, -1]]] for rows in ranges])
-    else:
-        key = evaluation.frames[:, None]
     group = group.ravel()
     count, mean = group_means(-evaluation.residuals, group)
     square = np.bincount(group, (evaluation.residuals**2).sum(1)) / count
     return ResidualMap(by, key.astype(float), count, mean, np.sqrt(square))
 
 
-def field_cells(pixel: Array, side: float) -> tuple[Array, Array]:
+def field_cells(pixel: Array, side: float) -> Pair:
     """Return the middles of the occupied squares of a grid, in pixels, and the index of the square of each position."""
     cell, group = np.unique(np.floor((pixel + 0.5) / side), axis=0, return_inverse=True)
     return (cell + 0.5) * side - 0.5, group.ravel()
 
 
-def group_means(values: Array, group: Array) -> tuple[Array, Array]:
+def group_means(values: Array, group: Array) -> Pair:
     """Return the number of rows and the mean value of each group."""
     count = np.bincount(group)
     return count, np.stack([np.bincount(group, column) for column in values.T], axis=-1) / count[:, None]
@@ -284,7 +282,12 @@ def summary(calibration: Calibration, most: int) -> list[str]:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
             "model misses something: deviations are those of leaving out frames"
+            + "; --bent fits a board that is not flat"
+            * (not len(calibration.board_heights))
         )
+    if len(calibration.board_heights):
+        low, high = calibration.board_heights.min(), calibration.board_heights.max()
+        lines.append(f"the board is bent: corners lie {low:+.3f} to {high:+.3f} mm behind a plane")
     lines += outlier_lines(calibration.evaluation, most)
     if len(calibration.centre_outliers):
         rows = listed((calibration.centre_outliers + 2).tolist(), most)
@@ -324,13 +327,13 @@ def listed(items: Sequence[object], most: int) -> str:
 
 
 def fit_covariance(problem: Problem, fit: Adjusted, weights: Array) -> tuple[Array, float, bool, Array]:
-    """Return the covariance (17, 17) of a fit's parameters, of which none is held fixed, and how frames disagree.
+    """Return the covariance of a fit's parameters, of which none is held fixed, and how frames disagree.
 
     That is by how much they disagree about the parameters, over what their residuals' scatter explains, and whether
     this is more than chance allows, so that the covariance is that of leaving out frames. Last, the RMS error of each
     pose for a camera fitted to the others, to first order. Shapes: `weights` (n,).
     """
-    count = len(NAMES)
+    count = len(fit.numbers)
     _, blocks = problem.blocks(fit.numbers, fit.poses, weights, np.arange(count))
     scale = np.sqrt((np.concatenate(blocks)[:, :count] ** 2).sum(0))
     blocks = [block / np.append(scale, 1.0) for block in blocks]
@@ -379,20 +382,20 @@ def moved_solutions(problem: Problem, fit: Adjusted, weights: Array, covariance:
 
     For any quantity that follows from parameters and poses, the squared changes add up to its variance.
     """
-    heads, _ = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(NAMES)))
+    heads, _ = problem.blocks(fit.numbers, fit.poses, weights, np.arange(len(fit.numbers)))
     scale = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     moved = []
     for step in (vectors * np.sqrt(values.clip(0))).T * scale:
         poses = [-np.linalg.solve(head[:, :6], head[:, 6:-1] @ step) for head in heads]
-        moved.append(Adjusted(fit.numbers + step, fit.poses + poses, fit.cost, 0))
+        moved.append(Adjusted(fit.numbers + step, fit.poses + poses, fit.cost))
     return moved
 
 
 def prediction_deviation(problem: Problem, fit: Adjusted, covariance: Array) -> float:
     """Return the RMS displacement, in pixels, of corners of turned boards due to errors of the parameters."""
     observed = problem.corners
-    count = len(NAMES)
+    count = len(fit.numbers)
     middle = np.append((observed.board.min(0) + observed.board.max(0)) / 2, 0.0)
     square = 0.0
     rows = 0

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import refuse_if
-from ...runtime import Array, as_pixels, require_memory
+from ...runtime import Array, Triple, as_pixels, require_memory
 from ...views import lens_types, pixels_around
 from .blur import CutBlur
 from .board_model import centres_of
@@ -165,9 +165,7 @@ def _grey(name: str, image: Array) -> Array:
     return values if values.ndim == 2 else values.mean(axis=2)
 
 
-def _refined(
-    picture: Picture, first_disparity: float, corners: Array, camera: PlenopticCamera | None
-) -> tuple[Array, Array, Array]:
+def _refined(picture: Picture, first_disparity: float, corners: Array, camera: PlenopticCamera | None) -> Triple:
     """Return corners located through lenses: indices of corner and lens, and positions in pixels."""
     cut = None
     if camera is not None:
@@ -206,7 +204,7 @@ def _displaced(cut: CutBlur, lens_type: Array, lens: Array, disparity: Array, ro
     return cut.displaced(kind, cut.defocus(kind, disparity[rows]), arm)
 
 
-def _expected(picture: Picture, position: Array, disparity: Array) -> tuple[Array, Array, Array]:
+def _expected(picture: Picture, position: Array, disparity: Array) -> Triple:
     """Return indices of corner and lens for each pair that should be visible, and the expected position in pixels."""
     reach = (picture.radius - 3.0) / np.abs(disparity)
     lenses = cKDTree(picture.centre).query_ball_point(position, reach)

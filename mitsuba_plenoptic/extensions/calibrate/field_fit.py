@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 
 from ...camera import PlenopticCamera
-from ...runtime import Array, Named, Progress, Sizes, exponents, monomials
+from ...runtime import Array, Named, Progress, Sizes, Triple, exponents, monomials
 from .micro_image import NUMBERS, SHAPE, MicroImageModel, PupilNumbers
 from .white_frames import WhiteFrame
 
@@ -168,7 +168,7 @@ class Judgement:
         return float(np.sqrt(max(self.residual**2 - self.systematic**2, 0)))
 
 
-def pixels_of_cells(camera: PlenopticCamera, position: Array, good: Array) -> tuple[Array, Array, Array]:
+def pixels_of_cells(camera: PlenopticCamera, position: Array, good: Array) -> Triple:
     """Return lens, column and row of each good pixel in the cells of lenses whose micro-images are at places (n, 2)."""
     lattice = camera.lattice.regular
     to_array = camera.pixel_size / camera.image_growth

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.polynomial.legendre import legvander2d
 from scipy.spatial.transform import Rotation
 
 from ...errors import NO_RECORD, InputError, naming, put_checked, refuse_if, refusing, require_count, require_number
@@ -69,6 +70,12 @@ class Board:
     def places(self, corner: np.ndarray) -> np.ndarray:
         """Return the positions (n, 2) of corners on the board in mm."""
         return np.stack([corner % self.columns, corner // self.columns], axis=-1) * self.square
+
+    def shapes(self, corner: np.ndarray) -> np.ndarray:
+        """Return the heights (n, terms) of corners on boards bent as polynomials of degree 2 to 5 by a millimetre."""
+        x, y = (2 * self.places(corner) / (self.square * (np.array([self.columns, self.rows]) - 1)) - 1).T
+        degrees = [(i, j) for i in range(6) for j in range(6) if 2 <= i + j <= 5 and i < self.columns and j < self.rows]
+        return legvander2d(x, y, (5, 5))[:, [6 * i + j for i, j in degrees]]
 
 
 @dataclass(frozen=True)

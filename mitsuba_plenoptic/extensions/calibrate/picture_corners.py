@@ -2,20 +2,22 @@
 
 from collections.abc import Sequence
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
-from ...design import focus_types
+from ...design import focus_type
 from ...errors import InputError, naming, refuse_if
-from ...io import RECORDED, Capture
+from ...io import RECORDED, Capture, Checkpoint, digest
 from ...runtime import Array, Progress
-from ...views import pixels_around, read_recording
+from ...views import open_light_field, pixels_around, read_recording
 from ..raw.lytro_file import nearest_white
-from .detect import detect_corners, even_colours
+from .detect import camera_centres, detect_corners, even_colours
 from .observations import DOUBTFUL_COLUMN, Board, Table, concatenate
 from .view_corners import detect_view_corners
 from .white_centres import find_centres
@@ -28,36 +30,89 @@ def corners_of_pictures(
     camera: PlenopticCamera | None,
     centres: Table | None,
     linear: bool,
+    checkpoint: Checkpoint,
     progress: Progress,
 ) -> tuple[PlenopticCamera, Table, Table]:
-    """Return the camera as it is known, corners in all pictures, and centres of micro-images."""
-    if white is None:
-        raise InputError("--white: pictures need a white picture of the same camera, or a folder of them")
-    first = read_recording(paths[0], linear)
-    camera = camera or getattr(first, "camera", None)
-    if camera is None:
-        raise InputError(f"--camera: {paths[0]} does not state its camera; give that of the data sheet")
-    if white.is_dir():
-        if not isinstance(first, Capture):
-            raise InputError(f"{white}: {paths[0]} states no zoom and focus, by which to choose a white picture")
-        white = nearest_white(white, first)
-    light = even_colours(_image(read_recording(white, linear)))
-    if centres is None:
-        with naming(white):
-            centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
-    is_unfocused = focus_types(camera)[0] == "unfocused"
+    """Return the camera as it is known, corners in all pictures, and centres of micro-images.
+
+    The checkpoint keeps the corners of the pictures that are done.
+    """
+    if is_light_field(paths[0]):
+        lf = open_light_field(paths[0])
+        camera = camera_of_views(lf)
+        light, centres = _lenses_together(lf["weight"]), camera_centres(camera)
+    else:
+        if white is None:
+            raise InputError("--white: pictures need a white picture of the same camera, or a folder of them")
+        recording = read_recording(paths[0], linear)
+        camera = camera or getattr(recording, "camera", None)
+        if camera is None:
+            raise InputError(f"--camera: {paths[0]} does not state its camera; give that of the data sheet")
+        if white.is_dir():
+            if not isinstance(recording, Capture):
+                raise InputError(f"{white}: {paths[0]} states no zoom and focus, by which to choose a white picture")
+            white = nearest_white(white, recording)
+        light = even_colours(grey(read_recording(white, linear)))
+        if centres is None:
+            with naming(white):
+                centres = unclipped(find_centres(light, like=camera.lattice).table(white.name), light)
+    is_unfocused = focus_type(camera) == "unfocused"
     detect = partial(detect_view_corners, camera=camera) if is_unfocused else detect_corners
+    # On which the corners in a picture depend, but for the picture.
+    facts = {"board": f"{board.columns}x{board.rows}", "lattice": camera.mla_lattice, "unfocused": is_unfocused}
+    found = checkpoint.begin_arrays(**facts, white=digest(light, *centres.columns.values())) or {}
+    progress(1, len(paths) + 1)
+    first = None
     tables = []
     for frame, path in enumerate(paths):
-        recording = read_recording(path, linear)
+        recording = recorded(path, linear)
+        motors = _motors(recording)
+        first = motors if frame == 0 else first
         refuse_if(
-            _motors(recording) != _motors(first),
-            f"{path}: its zoom and focus are at the steps {_motors(recording)}, those of {paths[0]} at "
-            f"{_motors(first)}: a calibration is of one zoom and one focus",
+            motors != first,
+            f"{path}: its zoom and focus are at the steps {motors}, those of {paths[0]} at {first}: a calibration is "
+            "of one zoom and one focus",
         )
-        tables.append(detect(_image(recording), light, centres, board, frame=frame, name=str(path)))
-        progress(frame + 1, len(paths))
+        image = grey(recording)
+        key = digest(image)
+        if f"{key}.u" not in found:
+            table = detect(image, light, centres, board, name=str(path))
+            found |= {f"{key}.{name}": values for name, values in table.columns.items()}
+            checkpoint.save_arrays(partial(dict, found))
+        columns = {name.partition(".")[2]: values for name, values in found.items() if name.startswith(key)}
+        tables.append(Table(str(path), columns | {"frame": np.full(len(columns["u"]), frame)}))
+        progress(frame + 2, len(paths) + 1)
     return camera, concatenate(tables), centres
+
+
+def is_light_field(path: Path) -> bool:
+    """Return whether a file holds views, or samples of each lens together, instead of a raw picture."""
+    return path.name.lower().endswith((".mat", ".nc", ".zarr", ".eslf.png"))
+
+
+def camera_of_views(lf: xr.DataArray) -> PlenopticCamera:
+    """Return a camera whose raw picture is a light field's mosaic of lenses; only the numbers of pixels are known.
+
+    Rays tell products of lengths in the camera alone, so that the width of pixels may be chosen: as of a camera that
+    sees 40 degrees from a distance of 10 mm.
+    """
+    v, u, t, s = lf.shape[:4]
+    refuse_if(u != v, f"light field: {u} x {v} views: it must be as wide as high")
+    camera = PlenopticCamera.matched(
+        f_number=4.0, lenses=(s, t), pixels_per_lens=u, pixel_size=7.2 / (s * u), focal_length=10.0, focus_distance=inf
+    )
+    return camera.replace(mla_offset=tuple(np.array([s, t]) % 2 * camera.mla_pitch / 2))
+
+
+def recorded(path: Path, linear: bool) -> Capture | Array:
+    """Read a raw picture, or a light field's mosaic of lenses."""
+    return _lenses_together(open_light_field(path)) if is_light_field(path) else read_recording(path, linear)
+
+
+def _lenses_together(lf: xr.DataArray) -> Array:
+    """Return the samples (t v, s u, channels) of each lens of a light field together."""
+    v, u, t, s = lf.shape[:4]
+    return lf.transpose("t", "v", "s", "u", ...).values.reshape(t * v, s * u, -1)
 
 
 def unclipped(centres: Table, white: Array) -> Table:
@@ -80,6 +135,6 @@ def _motors(recording: Array | Capture) -> Any:
     return lens.get("zoomStep"), lens.get("focusStep")
 
 
-def _image(recording: Array | Capture) -> Array:
-    """Return the values (rows, columns) of a picture, the mean of its colours."""
+def grey(recording: Array | Capture) -> Array:
+    """Return the values (rows, columns) of a picture or capture, the mean of its colours."""
     return np.atleast_3d(getattr(recording, "image", recording)).mean(2, dtype=np.float64)

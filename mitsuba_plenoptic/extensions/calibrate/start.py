@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import InputError, refuse_if
-from ...runtime import Array
+from ...runtime import Array, Triple
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .board_model import AT, NAMES, OFFSET, PRINCIPAL, Observations
 from .calibration_result import group_means
@@ -31,9 +31,7 @@ _THINNED = 300
 _AGREEING = 0.7
 
 
-def start_values(
-    problem: Problem, board: Board, frames: Array, grid: Array, principal: Array
-) -> tuple[Array, Array, Array]:
+def start_values(problem: Problem, board: Board, frames: Array, grid: Array, principal: Array) -> Triple:
     """Return start values from which a fit of camera and poses converges.
 
     Shapes: `grid` (3, 2), `principal` (2,); the result (17,), (poses, 6), (n,).
@@ -98,9 +96,7 @@ def thinned(problem: Problem, good: Array) -> Problem:
     return replace(problem, corners=observed.keep(chosen))
 
 
-def board_images(
-    problem: Problem, board: Board, frames: Array, grid: Array, principal: Array
-) -> tuple[Array, Array, Array]:
+def board_images(problem: Problem, board: Board, frames: Array, grid: Array, principal: Array) -> Triple:
     """Return the image of each board by the main lens, found from the shifts of its corners from lens to lens.
 
     The result has the shape (poses,), (poses, 3, 2), (n,).

@@ -5,8 +5,6 @@ micro-images give the lattice, their size the field stop, and the light of lense
 and the radius of its image on the array.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, replace

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Pair, Shape, Triple
 from .boards import Picture, located
 from .detect import divided_picture
 from .observations import DOUBTFUL_COLUMN, VIEW_COLUMNS, Board, Table, find_lens_index
@@ -39,7 +39,7 @@ class Lenses:
     # Distance of neighbours along the rows in pixels.
     pitch: float
 
-    def view(self, arm: Array) -> tuple[Array, Array, Array]:
+    def view(self, arm: Array) -> Triple:
         """Return values and weights (n,) of pixels at a place beside the lenses, and how far off it they are."""
         wanted = self.places + arm
         pixel = np.rint(wanted).astype(int)
@@ -102,7 +102,7 @@ def detect_view_corners(
     return Table(name, dict(zip(VIEW_COLUMNS, columns, strict=True)))
 
 
-def find_grid(lenses: Lenses, board: Board) -> tuple[Array, Array]:
+def find_grid(lenses: Lenses, board: Board) -> Pair:
     """Return the columns and rows on their board of corners seen in the central view, (n, 2), and their places.
 
     Columns run to the right and rows down, as seen from the front of the board.
@@ -120,7 +120,7 @@ def find_grid(lenses: Lenses, board: Board) -> tuple[Array, Array]:
     return _counted(corner, position, board, lenses.picture.name)
 
 
-def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[Array, Array]:
+def _saddles(value: Array, weight: Array, width: float, expected: int) -> Pair:
     """Return strong saddle points of a picture, (n, 2) columns and rows, and directions of rising slopes."""
     light = gaussian_filter(weight, width)
     smooth = gaussian_filter(value, width) / np.maximum(light, 1e-9)
@@ -144,12 +144,12 @@ def _saddles(value: Array, weight: Array, width: float, expected: int) -> tuple[
     return position[good], angle[good]
 
 
-def _grown(position: Array, angle: Array) -> dict[tuple[int, int], int]:
+def _grown(position: Array, angle: Array) -> dict[Shape, int]:
     """Return the largest grid of saddle points: their numbers by column and row.
 
     From one corner to the next, dark and light change: rising slopes are at right angles.
     """
-    best: dict[tuple[int, int], int] = {}
+    best: dict[Shape, int] = {}
     if len(position) < 9:
         return best
     tree = cKDTree(position)
@@ -186,16 +186,16 @@ def _grown(position: Array, angle: Array) -> dict[tuple[int, int], int]:
     return best
 
 
-def _fullness(grid: dict[tuple[int, int], int]) -> float:
+def _fullness(grid: dict[Shape, int]) -> float:
     """Return how many corners a grid has, times the part of its columns and rows that is filled."""
     return len(grid) ** 2 / np.prod(np.ptp(list(grid), axis=0) + 1) if grid else 0.0
 
 
-def _counted(corner: Array, position: Array, board: Board, name: str) -> tuple[Array, Array]:
+def _counted(corner: Array, position: Array, board: Board, name: str) -> Pair:
     """Return corners counted from the board's first, and their places, without lines of which little is seen."""
     size = np.array([board.columns, board.rows])
     stated = f"{name}: no checkerboard of {board.columns}x{board.rows} inner corners is seen in it"
-    fits: list[np.bool] = []
+    fits: list = []
     while len(corner) and not any(fits):
         corner = corner - corner.min(0)
         extent = corner.max(0) + 1
@@ -225,7 +225,7 @@ def _steps(corner: Array, position: Array) -> Array:
     return np.linalg.lstsq(np.column_stack([np.ones(len(corner)), corner]), position)[0][1:]
 
 
-def _in_all_views(lenses: Lenses, corner: Array, position: Array) -> tuple[Array, Array, Array]:
+def _in_all_views(lenses: Lenses, corner: Array, position: Array) -> Triple:
     """Return corners located in views: index of the corner, the view's pixel beside lenses, and position, (n, 2)."""
     pitch, even = lenses.pitch, lenses.picture.even - 0.5
     steps = _steps(corner, position)

@@ -15,15 +15,15 @@ from scipy.spatial.transform import Rotation
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Array
+from ...runtime import Array, Triple
 from .adjustment import Problem, adjust, adjust_poses, both_axes, robust_lines
 from .board_model import NAMES, PRINCIPAL
 from .calibration_result import group_means
-from .observations import placed
+from .observations import Board, placed
 from .start import first_numbers, thinned
 
 
-def central_view(corner: Array, arm: Array, place: Array) -> tuple[Array, Array, Array]:
+def central_view(corner: Array, arm: Array, place: Array) -> Triple:
     """Return the corners that are seen, places in the central view with disparities, and rows that agree with these.
 
     A plane's disparity is linear over its picture. Shapes: `corner` (n,), the number of the row's corner; `arm`,
@@ -67,7 +67,7 @@ def board_views(problem: Problem, frames: Array, principal: Array) -> tuple[list
     return maps, moving, good
 
 
-def view_start(problem: Problem, start: PlenopticCamera, frames: Array) -> tuple[Array, Array, Array]:
+def view_start(problem: Problem, board: Board, start: PlenopticCamera, frames: Array) -> Triple:
     """Return start values of camera and poses, and a mask of rows that agree with the others of their board.
 
     The result has the shape (17,), (poses, 6), (n,).
@@ -102,6 +102,12 @@ def view_start(problem: Problem, start: PlenopticCamera, frames: Array) -> tuple
     )
     b = -slope * sum_of_distances / (sum_of_distances - slope)
     z = sum_of_distances - b
+    ratio = b / z * start.detector_distance / start.mla_distance
+    refuse_if(
+        not 0.1 < ratio < 10,
+        f"corners: with squares of {board.square:g} mm the array would lie {b:.3g} mm behind the main lens and {z:.3g} "
+        "mm before the detector: squares are in millimetres",
+    )
     numbers = first_numbers(problem, (b / (1 + intercept * z / sum_of_distances), b, z), grid, principal)
     few = thinned(problem, good)
     fit = adjust(few, numbers, poses, ("focal_length", "detector_distance"), most_steps=60)

@@ -16,7 +16,7 @@ import numpy as np
 from ...array import Lattice
 from ...errors import refuse_if
 from ...io import Capture, require_demosaiced
-from ...runtime import Array, as_array
+from ...runtime import Array, as_array, single_threaded_blas
 from ...views import Discs, LensGrid, estimate_lens_grid, pixels_around
 from .adjustment import OUTLIER, rms
 from .array_fit import lattice_index
@@ -66,6 +66,7 @@ class Centres:
         return Table(name, {"k": k, "l": l, "u": u, "v": v, DOUBTFUL_COLUMN: self.doubtful.astype(int)})
 
 
+@single_threaded_blas()
 def find_centres(*whites: Capture | Array, like: Lattice | None = None) -> Centres:
     """Return the centre of each micro-image in a white image.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -12,7 +11,7 @@ import scipy.ndimage
 from ... import choices
 from ...errors import refuse_if, warn
 from ...io import EXPOSED, RECORDED, Capture, read_numbers
-from ...runtime import Array, as_pixels
+from ...runtime import Array, Pair, as_pixels
 from ...views import read_recording
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
@@ -67,7 +66,7 @@ class WhiteFrame:
         return cls(light, good, int(saturated.sum()), int(defective.sum()), int(unlit.sum()))
 
 
-def sensor_pictures(white: Path, **others: Path | None) -> list[Any]:
+def sensor_pictures(white: Path, **others: Path | None) -> list:
     """Return the values of a sensor's pictures, (rows, columns), the white one first; None where there is no file.
 
     They are proportional to light: the numbers in a picture. Pictures have one channel, and the size of the white one.
@@ -85,7 +84,7 @@ def values_of(path: Path) -> Array | Capture:
     return read_recording(path, linear=True)
 
 
-def level_and_noise(values: Array) -> tuple[float, float]:
+def level_and_noise(values: Array) -> Pair:
     """Return the median of values and the deviation of usual ones from it."""
     level = float(np.median(values))
     return level, 1.4826 * float(np.median(np.abs(values - level)))
@@ -101,7 +100,7 @@ def clipped(name: str, picture: Array) -> Array:
     return highest & (highest.mean() >= 1e-4)
 
 
-def stuck(light: Array, noise: float) -> tuple[Array, Array]:
+def stuck(light: Array, noise: float) -> Pair:
     """Return single dead pixels, and hot ones: four times darker and brighter than all their neighbours.
 
     Blurred light does not differ so much. By noise alone none does, as the difference must be ten times the noise, too.

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from scipy.spatial import cKDTree
 
 from ...report import pages, plots
-from ...runtime import Array, set_variant
+from ...runtime import Array, Pair, set_variant
 from ...scene import render_capture
 from .white_fit import WhiteFit
 
@@ -33,7 +33,7 @@ def write_white_report(path: Path, fit: WhiteFit, summary: list[str]) -> None:
     pages.Page("A camera fitted to its white picture", lead, sections).write(path)
 
 
-def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> tuple[Array, Array]:
+def side_by_side(fit: WhiteFit, samples: int = _SAMPLES) -> Pair:
     """Return recorded and simulated light of the lenses in the middle, over the mean light in lenses' middles.
 
     Both have the shape (rows, columns). Simulated is an evenly white scene through the fitted camera.

@@ -18,7 +18,7 @@ from ...design import depth_ranges
 from ...errors import naming, put_checked, refuse_if, require_choice, require_count, require_number, short_repr
 from ...extension import entries, missing, place
 from ...io import Capture
-from ...runtime import Array, Facts, Named, drjit_array
+from ...runtime import Array, Facts, Named, Pair, drjit_array
 
 _DETAIL = (0.2, 2.0)
 """Size of a pattern's details, in lenses, evenly in its logarithm: from below the lenses' resolution to coarse."""
@@ -147,7 +147,7 @@ class Shapes:
             f"kinds = {short_repr(self.kinds)}: it must be a list of some of {', '.join(KINDS)}",
         )
 
-    def between(self, camera: PlenopticCamera) -> tuple[float, float]:
+    def between(self, camera: PlenopticCamera) -> Pair:
         """Return the nearest and the farthest distance of objects before a camera."""
         ranges = [limits for limits in depth_ranges(camera) if limits]
         refuse_if(

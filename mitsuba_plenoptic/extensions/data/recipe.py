@@ -288,7 +288,7 @@ def _values_by_name(name: str, values: Any) -> Facts:
     return values
 
 
-def _list_of(what: str, name: str, values: Any, least: int = 1) -> list[Any]:
+def _list_of(what: str, name: str, values: Any, least: int = 1) -> list:
     """Return a list of at least so many entries; refuse anything else."""
     refuse_if(
         not isinstance(values, list) or len(values) < least,
@@ -327,7 +327,7 @@ class Between:
 class OneOf:
     """One of several values, with equal probabilities."""
 
-    values: tuple[Any, ...]
+    values: tuple
 
     def draw(self, random: np.random.Generator) -> Any:
         """Return one of the values at random."""

@@ -142,11 +142,11 @@ class _Flat(LinearMap):
         self.flat = flat
         self.bright = bright
 
-    def forward(self, values: NDArray[Any], /) -> NDArray[Any]:
+    def forward(self, values: NDArray, /) -> NDArray:
         """Return the pixels lit by bins."""
         return self._response.forward(values * self.bright) * self.flat
 
-    def adjoint(self, image: NDArray[Any], /) -> NDArray[Any]:
+    def adjoint(self, image: NDArray, /) -> NDArray:
         """Return the transpose of `forward`, applied to pixels."""
         return self._response.adjoint(image * self.flat) * self.bright
 
@@ -189,7 +189,7 @@ def _solve(
     most: int,
     noise: PixelNoise | None,
     solved: Sequence[Solved],
-    arrays: Mapping[str, NDArray[Any]],
+    arrays: Mapping[str, NDArray],
     report: Callable[[float], None],
 ) -> Iterator[Solved]:
     """Yield the result of each plane for one channel, from the state in a checkpoint's arrays if there is one."""

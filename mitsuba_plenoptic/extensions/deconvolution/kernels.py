@@ -74,7 +74,7 @@ class StoredResponse(LinearMap):
         if self._folder:
             self._folder.cleanup()
 
-    def planes_of(self, values: NDArray[Any]) -> list[NDArray[Any]]:
+    def planes_of(self, values: NDArray) -> list[NDArray]:
         """Return the bins (rows, columns) of each plane, as views of all bins."""
         ends = np.cumsum([rows * columns for rows, columns in self.shapes])
         return [
@@ -85,13 +85,13 @@ class StoredResponse(LinearMap):
         """Return a plane's bins, of all bins, as an upright image of a reconstruction's bins."""
         return np.ascontiguousarray(self.planes_of(values)[plane][self._windows[plane]])
 
-    def from_image(self, image: NDArray[Any], plane: int) -> Floats:
+    def from_image(self, image: NDArray, plane: int) -> Floats:
         """Return the transpose of `to_image`, applied to an image."""
         values = np.zeros(self.source_shape, np.float32)
         self.planes_of(values)[plane][self._windows[plane]] = image
         return values
 
-    def _stored(self, arrays: list[NDArray[Any]], name: str) -> list[NDArray[Any]]:
+    def _stored(self, arrays: list[NDArray], name: str) -> list[NDArray]:
         """Return arrays of one type as views of a file in the folder; without a folder unchanged, where they lie.
 
         The system keeps the file's data in memory as long as there is room.

@@ -24,7 +24,7 @@ from ...optics import in_millimetres
 from ...points import Copies, Fields, Grid, Recorder, Scatter, band_for, chunks_of, place, radiance_weight, scene_points
 from ...rays import Passage, Walk
 from ...refocus import regular_place, straightened
-from ...runtime import Box, Doubles, Floats, Integers, Job, Part, active_backend, add, turn
+from ...runtime import Box, Doubles, Floats, Integers, Job, Pair, Part, active_backend, add, turn
 from ...views import lens_numbers, lenses_of_pixels, white_image
 from .cells import BinCells, UprightBins
 from .kernels import Kernel, PlaneResponse, StoredResponse, make_kernel, merged, require_response_memory, zones
@@ -159,7 +159,7 @@ def ray_batches(across: int, cells: BinCells, distance: float, cell: Integers) -
 
 
 @functools.cache
-def _pairs(count: int) -> tuple[Doubles, Doubles]:
+def _pairs(count: int) -> Pair:
     """Return points (n, 2) of the unit square, paired with points (2, n) of the unit disc."""
     pairs = scene_points.sample_pairs(count)
     angle = 2 * np.pi * pairs[:, 3]
@@ -260,7 +260,7 @@ class Response(StoredResponse):
         self.cells = BinCells(grid, along, across)
         # 256 x 256 rays of a bin; several of the finer bins of cells make up one.
         rays = math.ceil(256 * math.sqrt(oversample / math.sqrt(along * across)))
-        self._batches: Callable[..., Sequence[Sequence[Any]]] = functools.partial(ray_batches, rays)
+        self._batches: Callable[..., Sequence[Sequence]] = functools.partial(ray_batches, rays)
         if wavelength:
             self._batches = functools.partial(wave_batches, fine)
         self._camera = camera
@@ -410,7 +410,7 @@ class Response(StoredResponse):
             white = self._direct(np.ones(self.source_shape, np.float32))
             self._gain = np.where(white > 0.005 * white.max(), self._gain, np.float32(0))
 
-    def _computed(self, bins: Sequence[Sequence[Any]], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
+    def _computed(self, bins: Sequence[Sequence], job: Job) -> contextlib.closing[Generator[Part, None, None]]:
         """Return the results of the batches of bins, whose samples count as progress."""
         done = self._done
         batches = list(itertools.chain.from_iterable(bins))
@@ -598,7 +598,7 @@ class Response(StoredResponse):
         return np.concatenate([bins.share @ plane.adjoint(light).ravel() for plane, bins in planes]) * self._bright
 
 
-def _samples(bins: Iterable[Sequence[Any]]) -> int:
+def _samples(bins: Iterable[Sequence]) -> int:
     """Return the samples of the batches of bins, to which their time is about proportional."""
     return sum(batch.samples for some in bins for batch in some)
 
@@ -630,7 +630,7 @@ def _pupil_of(lens: MainLens, vignetting: Vignetting | None, pupil: Any, place: 
 
 
 def _dimmed(
-    camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray[Any] | None, wavelength: float
+    camera: PlenopticCamera, main_lens: MainLens, lens: Doubles, zone: NDArray | None, wavelength: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return the light of pixels of some lenses, that with the pupil of the middles of their zones, or whole, and far.
 

@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 
 from ...runtime import Flags, Floats
 
-_SMOOTH = 1e-3
-"""Largest step between bins, over their mean, that counts as even."""
-
 
 @dataclass(frozen=True)
 class TotalVariation:
@@ -36,7 +33,8 @@ class TotalVariation:
             right = np.zeros_like(plane)
             below = np.zeros_like(plane)
             right[:, :-1], below[:-1] = (np.diff(plane, axis=1 - axis) * neighbours[axis] for axis in (0, 1))
-            even = _SMOOTH * float(plane[mask].mean()) if mask.any() else 0.0
+            # Largest step between bins, over their mean, that counts as even.
+            even = 1e-3 * float(plane[mask].mean()) if mask.any() else 0.0
             length = np.sqrt(right**2 + below**2 + np.float32(even**2 + 1e-30))
             right = right / length
             below = below / length

@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import CameraVector, PlenopticCamera
 from ...errors import require_wavelength, warn
 from ...io import Checkpoint
-from ...runtime import Doubles, Progress
+from ...runtime import Doubles, Pair, Progress
 from ...views import estimate_lens_grid
 from .fit_light import View, check_views, kept_numbers, light_digest
 from .point_rays import RayModels, check_numbers, vector_of
@@ -80,7 +80,7 @@ def coarse_fit(
     names: Iterable[str] | str,
     *,
     wavelength: float = 633.0,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[str, Pair] | None = None,
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> PlenopticCamera:
@@ -154,7 +154,7 @@ def coarse_fit(
 
 def _nearest(
     vector: CameraVector,
-    limits: tuple[Doubles, Doubles],
+    limits: Pair,
     models: RayModels,
     views: list[View],
     blur: float,

@@ -18,10 +18,10 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_known
 from ...points import CaptureOperator, derivatives
-from ...runtime import Array, Named
+from ...runtime import Array, Named, Sizes
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
-Shape = tuple[int, ...]
+Shape = Sizes
 Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
 
 
@@ -86,9 +86,9 @@ class Latest:
     """
 
     function: SmoothFunction
-    copied: Callable[[Any], Any]
+    copied: Callable
     equal: Callable[[Any, Any], bool]
-    taken: Callable[[Any], Any]
+    taken: Callable
 
     def __post_init__(self) -> None:
         self.shape = self.function.shape
@@ -96,10 +96,10 @@ class Latest:
 
     def forget(self) -> None:
         """Free the latest value; a later request computes it again."""
-        self._given: list[Any] = []
+        self._given: list = []
         self._value: Value | None = None
 
-    def at(self, arrays: Sequence[Any]) -> Value:
+    def at(self, arrays: Sequence) -> Value:
         """Return the value of the function at given arrays, computed only if they differ from the latest arrays."""
         # Another thread may have this function forget its value meanwhile.
         last = self._given

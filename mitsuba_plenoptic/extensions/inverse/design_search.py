@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import InputError, refuse_if, require_count, short_repr
-from ...runtime import Doubles
+from ...runtime import Doubles, Pair
 from .merit import Gradient
 from .point_rays import vector_of
 
@@ -51,7 +51,7 @@ class Design:
 def maximise(
     figure: Figure,
     camera: PlenopticCamera,
-    bounds: Mapping[str, tuple[float, float]],
+    bounds: Mapping[str, Pair],
     *,
     steps: int = 30,
     progress: Callable[[int, float, PlenopticCamera], None] | None = None,
@@ -89,7 +89,7 @@ def maximise(
     refuse_if(len(set(labels)) < len(labels), "bounds: a parameter has two of them")
     vector = vector_of(camera, [label.split(".", 1)[0] for label in labels]).keep(labels)
     low, high = vector.limits(bounds)
-    best: list[Any] = [-np.inf, camera]
+    best: list = [-np.inf, camera]
     tried = 0
 
     def cost(position: Doubles) -> tuple[float, Doubles]:

@@ -381,7 +381,7 @@ class _BinnedPower:
         self._lit = spread > 0
         self.bins = np.where(self._lit, spread, 0)
 
-    def _fields(self, amplitude: Floats) -> tuple[list[Any], float]:
+    def _fields(self, amplitude: Floats) -> tuple[list, float]:
         """Return all subsets' fields at the object plane's directions, and the power that passed the pupil."""
         chain = self._refocus._fields
         step = self._refocus._step

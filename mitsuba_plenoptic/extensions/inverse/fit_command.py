@@ -15,9 +15,6 @@ from ...runtime import progress_bar
 if TYPE_CHECKING:
     from .fitting import Fit
 
-# Directions that are printed: the worst determined.
-_NAMED = 3
-
 
 def fit(
     captures: list[options.CaptureFile],
@@ -158,7 +155,8 @@ def _write(output: Path, result: Fit) -> None:
         f"chi-square per pixel {result.chi_square:.4g} +- {result.chi_square_deviation:.2g} over {result.pixels} "
         f"pixels, {result.steps} cameras tried"
     )
-    for direction in result.directions[:_NAMED] if len(result.values) > 1 else ():
+    # Directions that are printed: the worst determined.
+    for direction in result.directions[:3] if len(result.values) > 1 else ():
         parts = sorted(direction.parts.items(), key=lambda component: -abs(component[1]))
         terms = ", ".join(f"{component:+.2f} {name}" for name, component in parts if abs(component) > 0.1)
         typer.echo(f"determined to {direction.deviation:.2g}: {terms}")

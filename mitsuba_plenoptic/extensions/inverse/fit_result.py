@@ -7,7 +7,7 @@ import numpy as np
 
 from ...camera import PlenopticCamera
 from ...errors import refuse_if
-from ...runtime import Doubles
+from ...runtime import Doubles, Pair
 from .fit_light import Pixels, View
 
 _BRIGHTER = 3.0
@@ -79,7 +79,7 @@ def summary(
     labels: list[str],
     x: Doubles,
     unit: Doubles,
-    limits: tuple[Doubles, Doubles],
+    limits: Pair,
     rows: Doubles,
     residuals: Doubles,
     pixels: Pixels,

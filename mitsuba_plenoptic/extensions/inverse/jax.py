@@ -126,7 +126,7 @@ def _latest(function: SmoothFunction) -> Latest:
 # Each calls NumPy on the host. The transposes of linear maps and of changes make them differentiable in both modes.
 
 
-def _on_host(function: Callable[..., Any], like: Any) -> Callable[..., Any]:
+def _on_host(function: Callable, like: Any) -> Callable:
     """Return `function` of NumPy arrays as a function of JAX arrays on the host; `like` describes its results.
 
     JAX calls it from its own threads, and independent calls, such as a value and its derivatives, at the same time.
@@ -145,7 +145,7 @@ def _like(array: Any, shape: Sizes | None = None) -> Any:
     return jax.ShapeDtypeStruct(array.shape if shape is None else shape, array.dtype)
 
 
-def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], several: bool = False) -> Primitive:
+def _primitive(name: str, apply: Callable, like: Callable, several: bool = False) -> Primitive:
     """Return a JAX primitive that applies a function; `like` returns the descriptions of its results."""
     primitive = Primitive(f"plenoptic_{name}")
     primitive.multiple_results = several
@@ -173,10 +173,10 @@ def _primitive(name: str, apply: Callable[..., Any], like: Callable[..., Any], s
 def _one_by_one(primitive: Primitive) -> None:
     """Register the rule by which ``jax.vmap`` applies a primitive row by row."""
 
-    def batched(given: Sequence[Any], axes: Sequence[Any], **options: Any) -> Any:
+    def batched(given: Sequence, axes: Sequence, **options: Any) -> Any:
         mapped = [k for k, axis in enumerate(axes) if axis is not None]
 
-        def row(parts: Sequence[Any]) -> Any:
+        def row(parts: Sequence) -> Any:
             all_given = list(given)
             for k, value in zip(mapped, parts, strict=True):
                 all_given[k] = value
@@ -210,7 +210,7 @@ _smooth = _primitive(
 )
 
 
-def _changed(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> Array:
+def _changed(given: Sequence, *, function: Latest, which: tuple[bool, ...]) -> Array:
     # The arrays at which the derivative is taken come first, then the changes of those that change.
     changes = iter(given[len(which) :])
     return function.at(given[: len(which)]).jvp([next(changes) if one else None for one in which])
@@ -222,7 +222,7 @@ _change = _primitive(
 )
 
 
-def _gradients(given: Sequence[Any], *, function: Latest, which: tuple[bool, ...]) -> list[Any]:
+def _gradients(given: Sequence, *, function: Latest, which: tuple[bool, ...]) -> list:
     return [each for each in function.at(given[:-1]).vjp(given[-1], which) if each is not None]
 
 
@@ -235,14 +235,14 @@ _gradient = _primitive(
 )
 
 
-def _smooth_jvp(given: Sequence[Any], changes: Sequence[Any], *, function: Latest) -> Pair:
+def _smooth_jvp(given: Sequence, changes: Sequence, *, function: Latest) -> Pair:
     which = tuple(type(each) is not ad.Zero for each in changes)
     known = [each for each, one in zip(changes, which, strict=True) if one]
     value = _smooth.bind(*given, function=function)
     return value, _change.bind(*given, *known, function=function, which=which)
 
 
-def _change_transpose(gradient: Any, *given: Any, function: Latest, which: tuple[bool, ...]) -> list[Any]:
+def _change_transpose(gradient: Any, *given: Any, function: Latest, which: tuple[bool, ...]) -> list:
     arrays = given[: len(which)]
     if type(gradient) is ad.Zero:
         return [None] * len(given)

@@ -9,7 +9,7 @@ from ...camera import PlenopticCamera
 from ...errors import InputError, did_you_mean, refuse_if, require_count, require_number, require_wavelength
 from ...fields import OpticalSystem
 from ...points import CaptureOperator, check_positions, chosen_accuracy
-from ...runtime import Doubles, Floats, Named
+from ...runtime import Doubles, Floats, Named, Pair, Triple
 from .differentiable import RayRefocus
 
 Gradient = dict[str, Doubles]
@@ -255,7 +255,7 @@ class DepthInformation:
             total = {name: gradient_of + total.get(name, 0.0) for name, gradient_of in gradients.items()}
         return float(value), total
 
-    def _moved(self, camera: PlenopticCamera, cotangents: list[Doubles]) -> Iterator[tuple[Doubles, Doubles]]:
+    def _moved(self, camera: PlenopticCamera, cotangents: list[Doubles]) -> Iterator[Pair]:
         """Yield displaced positions of the points, and the gradients with respect to their point spreads."""
         image, *along, depth = cotangents
         yield self._spreads.points, image
@@ -269,7 +269,7 @@ class DepthInformation:
         x, y, g = self._spreads.points.T[..., None, None]
         return [x / g, y / g] if camera.lens_data.converges else [0 * x, 0 * y]
 
-    def _moves(self, camera: PlenopticCamera) -> list[tuple[Doubles, Doubles, Doubles]]:
+    def _moves(self, camera: PlenopticCamera) -> list[Triple]:
         """Return positions (n, 3) to both sides of the points, and factors (n, 1, 1) from differences to derivatives.
 
         The displacements are along X, along Y, and along the chief ray in vergence.

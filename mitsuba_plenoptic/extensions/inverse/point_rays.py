@@ -148,7 +148,7 @@ class PointRays:
         return image.numpy().reshape(camera.shape)
 
 
-def _scales(camera: PlenopticCamera, lens: MainLens, points: Doubles) -> tuple[Doubles, Doubles]:
+def _scales(camera: PlenopticCamera, lens: MainLens, points: Doubles) -> Pair:
     """Return the displacements of rays, on the array and on the detector, per displacement on the pupil."""
     b = float(lens.pupil.distance)
     z = camera.reduced_distance

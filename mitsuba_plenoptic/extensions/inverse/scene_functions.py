@@ -78,7 +78,7 @@ class Rendering:
             active = mi.variant()
             refuse_if(own != active, f"{name}: it is of the variant {own}, but {active} is active; set {own}")
 
-    def typed(self, values: Sequence[Any]) -> list[Any]:
+    def typed(self, values: Sequence) -> list:
         """Return values converted to the Dr.Jit types of the scene's parameters."""
         made = []
         for (name, shape), value in zip(self._expected.items(), values, strict=True):
@@ -87,13 +87,13 @@ class Rendering:
             made.append(kind(flat, shape) if dr.is_tensor_v(kind) else dr.unravel(kind, flat, order="C"))
         return made
 
-    def put(self, typed: Sequence[Any]) -> None:
+    def put(self, typed: Sequence) -> None:
         """Write parameter values, already converted, into the scene."""
         for name, value in zip(self._expected, typed, strict=True):
             self.parameters[name] = value
         self.parameters.update()
 
-    def image(self, typed: Sequence[Any]) -> Any:
+    def image(self, typed: Sequence) -> Any:
         """Render the scene with values, which the scene keeps unless they are refused."""
         before = {name: type(self.parameters[name])(self.parameters[name]) for name in self._expected}
         try:
@@ -127,14 +127,14 @@ class RenderedValue:
     """
 
     @one_at_a_time
-    def __init__(self, rendering: Rendering, given: Sequence[Any]):
+    def __init__(self, rendering: Rendering, given: Sequence):
         self._rendering, self._typed = rendering, rendering.typed(given)
         self._shapes = [np.shape(each) for each in given]
         rendering.require_variant()
         self.value = rendering.image(self._typed)
 
     @one_at_a_time
-    def jvp(self, changes: Sequence[Any]) -> Any:
+    def jvp(self, changes: Sequence) -> Any:
         """Return the change of the image for changes of the parameter values; see `Value`."""
         kept = [np.zeros(shape) if each is None else each for each, shape in zip(changes, self._shapes, strict=True)]
         with self._attached([each is not None for each in changes]) as values:
@@ -146,7 +146,7 @@ class RenderedValue:
         return dr.detach(change)
 
     @one_at_a_time
-    def vjp(self, gradient: Any, needed: Sequence[bool]) -> list[Any]:
+    def vjp(self, gradient: Any, needed: Sequence[bool]) -> list:
         """Return the gradient with respect to each value that needs it; see `Value`."""
         with self._attached(needed) as values:
             self._rendering.backward(_tensor(gradient))
@@ -156,7 +156,7 @@ class RenderedValue:
         return [each if one else None for each, one in zip(made, needed, strict=True)]
 
     @contextmanager
-    def _attached(self, which: Sequence[bool]) -> Iterator[list[Any]]:
+    def _attached(self, which: Sequence[bool]) -> Iterator[list]:
         """Put the values into the scene while the context is open, the chosen ones with gradients."""
         self._rendering.require_variant()
         values = [type(each)(each) for each in self._typed]

@@ -175,7 +175,7 @@ class _Linear(torch.autograd.Function):
         return _tensor(function.straight(_array(tensor)), tensor)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
         _, ctx.function = inputs
 
     @staticmethod
@@ -216,7 +216,7 @@ class _Smooth(_RowByRow):
         return _tensor(function.at(tensor).value, tensor[0])
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+    def setup_context(ctx: Any, inputs: tuple, output: torch.Tensor) -> None:
         ctx.function, *tensors = inputs
         # PyTorch refuses derivatives at tensors that have been overwritten.
         ctx.save_for_backward(*tensors)
@@ -239,7 +239,7 @@ class _Once(_RowByRow):
     """Derivative of a function that cannot be differentiated a second time."""
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
         """Save nothing for the backward pass."""
 
     @staticmethod

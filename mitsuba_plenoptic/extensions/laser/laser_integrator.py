@@ -156,7 +156,7 @@ def make_class() -> type:
                 "points_per_spot": self.points_per_spot,
             }
 
-        def _require(self, scene: Any, sensor: Any) -> list[Any]:
+        def _require(self, scene: Any, sensor: Any) -> list:
             """Return the lasers of a scene; refuse scenes and cameras that the model does not support."""
             with naming(NAME):
                 require_support(PlenopticCamera.from_sensor(sensor), Use.COHERENT_POINTS)
@@ -169,7 +169,7 @@ def make_class() -> type:
             scene_points.require_matte_surfaces(scene, NAME)
             return named_lasers(scene, self.lasers, NAME)
 
-        def _laser(self, scene: Any, sensor: Any, lasers: list[Any], seed: int, job: Job) -> Floats:
+        def _laser(self, scene: Any, sensor: Any, lasers: list, seed: int, job: Job) -> Floats:
             """Return the light of the lasers, (rows, columns, 1)."""
             camera = PlenopticCamera.from_sensor(sensor)
             (wavelength,) = self.wavelengths

@@ -24,7 +24,7 @@ from ...fields import OpticalSystem
 from ...optics import guards, in_millimetres
 from ...points import radiance_weight
 from ...rays import LensWindow
-from ...runtime import Doubles, drjit_array, require_memory
+from ...runtime import Doubles, Triple, drjit_array, require_memory
 from ...scene import random_numbers, world_ray
 
 _COARSE = 64
@@ -66,7 +66,7 @@ class LaserScene:
 
     scene: Any
     sensor: Any
-    lasers: Sequence[Any]
+    lasers: Sequence
     system: OpticalSystem
 
     def points(self, per_spot: float, seed: int) -> LitPoints:
@@ -109,7 +109,7 @@ class LaserScene:
             guards.check(guards.HIDDEN, float(power @ hidden / power.sum()))
         return LitPoints(positions, power * radiance_weight(self.system.camera, lens, float(cell.prod())))
 
-    def _lit(self, positions_on_array: Doubles, seed: int) -> tuple[Doubles, Doubles, Doubles]:
+    def _lit(self, positions_on_array: Doubles, seed: int) -> Triple:
         """Return lit points on chief rays, their radiance, and the fraction of the pupil's rim hidden from each.
 
         `positions_on_array` are (n, 2).
@@ -232,7 +232,7 @@ class LaserScene:
         return np.fmod(path / in_millimetres(self.system.wavelength), 1)
 
 
-def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list[Any]:
+def named_lasers(scene: Any, names: Sequence[str], plugin: str) -> list:
     """Return the emitters with given ids; refuse emitters that cannot be lasers."""
     emitters = {emitter.id(): emitter for emitter in scene.emitters()}
     lasers = []

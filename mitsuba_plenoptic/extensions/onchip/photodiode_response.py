@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import put, refuse_if, require_numbers, require_wavelength, short_repr
-from ...runtime import Doubles, PlainData, as_array, known_record
+from ...runtime import Doubles, Numbers, PlainData, as_array, known_record
 
 if TYPE_CHECKING:
     from ...camera import CameraGeometry
@@ -65,10 +65,10 @@ class PhotodiodeResponse(PlainData):
         Wavelengths in nanometres, rising. Between them responses are interpolated, and those at the ends hold beyond.
     """
 
-    angles_x: tuple[float, ...]
-    angles_y: tuple[float, ...]
+    angles_x: Numbers
+    angles_y: Numbers
     responses: Doubles
-    wavelengths: tuple[float, ...] = ()
+    wavelengths: Numbers = ()
 
     def __post_init__(self) -> None:
         for name in ("angles_x", "angles_y"):
@@ -97,6 +97,6 @@ known_response = partial(known_record, PhotodiodeResponse)
 """Return a photodiode response from any of its forms; None means that the microlenses refract light."""
 
 
-def _rising(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
+def _rising(name: str, values: Numbers) -> Numbers:
     refuse_if(any(a >= b for a, b in itertools.pairwise(values)), f"{name} = {short_repr(values)}: they must rise")
     return values

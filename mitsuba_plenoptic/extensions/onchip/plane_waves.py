@@ -73,7 +73,7 @@ def lens_range(camera: PlenopticCamera, count: int, axis: int) -> Shape:
     return first // count, -(-(first + camera.shape[1 - axis]) // count)
 
 
-def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list[Any]:
+def displacement(camera: PlenopticCamera, count: int, x: Any, y: Any) -> list:
     """Return the positions of the centres of lenses' pixels relative to the lenses' centres, by lattice indices."""
     width = count * camera.pixel_size
     return [(index + 0.5) * width - c for index, c in zip((x, y), camera.lattice.centre(x, y), strict=True)]

@@ -25,8 +25,8 @@ class Aimed(NamedTuple):
     place: Pair
     open: Any
     # Indices of the samples of the near and far tables of each wavelength, in the first cell of their windows.
-    near: list[Any]
-    far: list[Any]
+    near: list
+    far: list
     # Nodes of the wavelength for which lenses of the far window are drawn, counted over zones.
     node: Any
 
@@ -73,8 +73,8 @@ class Tables:
         is_open = dr.square(inner[0]) + dr.square(inner[1]) <= system.camera.pupil_radius**2
         zone = self._zone(index, chances[0][:2])
         widest_node = mi.UInt32(0)
-        near: list[Any] = []
-        far: list[Any] = []
+        near: list = []
+        far: list = []
         for number_of, (plan, table) in enumerate(zip(self.plans, self._index, strict=True)):
             n = 2 * plan.across + 1
             column, row = (
@@ -108,7 +108,7 @@ class Tables:
         position = tuple(mi.Int(coordinate) + window.first for coordinate in (cell - row * window.lenses, row))
         return position, quantiles / mi.Float(entry & 0xFFFF)
 
-    def values(self, table: tuple[TableWindow, Any], first: Any, cell: Pair) -> list[Any]:
+    def values(self, table: tuple[TableWindow, Any], first: Any, cell: Pair) -> list:
         """Return the responses of the photodiodes of one lens to rays drawn for a lens in a window around it."""
         window, packets = table
         column, row = (coordinate - window.first for coordinate in cell)
@@ -124,7 +124,7 @@ class Tables:
                 result.append(dr.reinterpret_array(mi.Float, bits) * 2.0**112)
         return result[: self.count**2]
 
-    def zone_means(self, node_index: int, index: Pair) -> list[Any]:
+    def zone_means(self, node_index: int, index: Pair) -> list:
         """Return the mean responses of the photodiodes of lenses, interpolated between zones."""
         positions = (self._along(axis, numbers) for axis, numbers in enumerate(index))
         right, high = (position - dr.floor(position) for position in positions)

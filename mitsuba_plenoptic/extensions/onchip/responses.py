@@ -39,13 +39,13 @@ class Rays(NamedTuple):
     """The light of traced rays, by lens."""
 
     # Light for each image of a channel at a wavelength.
-    lights: list[Any]
+    lights: list
     # Indices as in `Aimed`; rays that do not pass the pupil have those of a node without response.
-    near: list[Any]
-    far: list[Any]
+    near: list
+    far: list
     node: Any
     # Sums of the light, and counts of the rays that passed, of the two halves of the rays of each lens.
-    sums: list[Any]
+    sums: list
     counts: Any
 
 
@@ -76,7 +76,7 @@ class ResponseSum(RaySum):
     def __init__(
         self,
         camera: PlenopticCamera,
-        light: Callable[..., list[Any]],
+        light: Callable[..., list],
         nodes: Sequence[Node],
         *,
         # Rays per pixel as in a ray capture, of which only those that pass the pupil are drawn.
@@ -175,7 +175,7 @@ class ResponseSum(RaySum):
         dr.eval(sums, counts)
         return Rays(lights, aimed.near, aimed.far, aimed.node, sums, counts)
 
-    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list[list[Any]]:
+    def _gathered(self, grid: LensCells, rays: Rays, seed: int) -> list:
         """Return the values of each lens's photodiodes for each image, from the rays of all surrounding lenses."""
         tables = self._tables
         size = self._across**2
@@ -201,7 +201,7 @@ class ResponseSum(RaySum):
         dr.eval(result)
         return result
 
-    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair]) -> list[Any]:
+    def _near_sums(self, grid: LensCells, rays: Rays, means: list[Pair]) -> list:
         """Return the sums over all rays of the near windows of lenses, for each image and photodiode."""
         count = dr.opaque(mi.UInt32, self._rays)
         lane = dr.arange(mi.UInt32, grid.rows * grid.columns * self._rays)
@@ -211,7 +211,7 @@ class ResponseSum(RaySum):
             of_other_half(ray < count // 2, [dr.gather(mi.Float, half, of_lens) for half in halves]) for halves in means
         ]
 
-        def add(k: Any, *totals: Any) -> tuple[Any, ...]:
+        def add(k: Any, *totals: Any) -> tuple:
             row = mi.Int(k) // NEAR
             cell = mi.Int(k) - row * NEAR - NEAR // 2, row - NEAR // 2
             address = grid.displaced(self._tables.margin, of_lens, cell) * count + ray
@@ -226,7 +226,7 @@ class ResponseSum(RaySum):
         _, *totals = dr.while_loop(state, lambda k, *_: k < NEAR**2, add, label="near photodiodes")
         return [dr.block_sum(total, self._rays) for total in totals]
 
-    def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list[Any]:
+    def _far_sums(self, grid: LensCells, rays: Rays, means: list[Pair], seed: int) -> list:
         """Return estimates of the sums over all rays of the far windows of lenses, for each image and photodiode."""
         tables = self._tables
         margin = tables.margin
@@ -269,7 +269,7 @@ class ResponseSum(RaySum):
         dr.eval(totals)
         return [mi.Float(double(total) * unit) for total in totals]
 
-    def _products(self, change: list[Any], tables: list[Any], first: list[Any], cell: Pair) -> list[Any]:
+    def _products(self, change: list, tables: list, first: list, cell: Pair) -> list:
         """Return the light of rays for each image times the responses of the photodiodes at its wavelength.
 
         `first` are the indices of the rays' samples in the first cells of the tables.
@@ -305,7 +305,7 @@ class ResponseCapture(SignedCapture):
         nodes[0].plan.require_memory(len(nodes))
         return nodes
 
-    def _sum(self, kind: Callable[..., Any]) -> Callable[..., Any]:
+    def _sum(self, kind: Callable) -> Callable:
         """Return the only kind of sum."""
         return ResponseSum
 

@@ -15,7 +15,7 @@ from ... import design
 from ...camera import PlenopticCamera
 from ...prescription import lens_data
 from ...refocus import pupil_radius, ray_sums
-from ...runtime import Array
+from ...runtime import Array, Pair
 from .claims import CONFIRMED, DIFFERS, PAPER_RESOLUTION, PAPER_SECONDS, PARTLY, Claim, verdict
 
 
@@ -102,7 +102,7 @@ def pixels_against_range(cameras: list[FocusedCamera]) -> Claim:
     )
 
 
-def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> tuple[float, float]:
+def deconvolved_fraction(camera: PlenopticCamera, wavelength: float) -> Pair:
     """Return the distance at which deconvolution resolves most of the bare sensor's lines, and their fraction."""
     fractions = {}
     for distance in np.geomspace(0.6 * camera.focus_distance, 3 * camera.focus_distance, 800).tolist():

@@ -31,7 +31,7 @@ from ...report import (
     refocused,
     window_sharpness,
 )
-from ...runtime import Doubles, Facts, Floats, Named, Numbers, software
+from ...runtime import Facts, Floats, Named, Numbers, Pair, software
 from ...scene import render_capture
 from ...views import lens_numbers
 from ..calibrate.photon_transfer import electrons
@@ -181,7 +181,7 @@ def judge(recording: Recording, store: Cache, scene: str, wavelength: float) -> 
     return Judged(pictures, measured, check_claims(experiment, measured, None, near, far), quality)
 
 
-def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> tuple[Doubles, Doubles]:
+def _box(camera: PlenopticCamera, distance: float, area: Sequence[float]) -> Pair:
     """Return the corners in the camera's frame of left, top, width and height in bins."""
     left, top, width, height = area
     corners = np.array([[left + width, top + height], [left, top]]) - np.array(camera.bin_count) / 2

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 
 from ...errors import InputError, put, put_checked, refuse_if, refusing, require_choice, require_length, require_number
-from ...runtime import MILLIMETRES, Doubles, Named, as_array, require_file, require_units
+from ...runtime import MILLIMETRES, Doubles, Named, Numbers, as_array, require_file, require_units
 from .seeding import PLACE
 
 _AXES = ("x", "y", "z")
@@ -67,7 +67,7 @@ class Vortex(Flow):
     """
 
     axis: str
-    centre: tuple[float, ...]
+    centre: Numbers
 
     def __post_init__(self) -> None:
         # A vortex's first field is its strength, and the second its size.
@@ -96,7 +96,7 @@ class Uniform(ParallelFlow):
         Velocity along x, y and z in mm/s.
     """
 
-    speed: tuple[float, ...] = (1.0, 0.0, 0.0)
+    speed: Numbers = (1.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         put_checked(self, speed=PLACE)
@@ -123,7 +123,7 @@ class Shear(ParallelFlow):
     rate: float = 1.0
     along: str = "x"
     across: str = "z"
-    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+    centre: Numbers = (0.0, 0.0, 240.0)
 
     def __post_init__(self) -> None:
         put_checked(self, rate=_SPEED, along=_AXIS, across=_AXIS, centre=PLACE)
@@ -152,7 +152,7 @@ class TaylorGreen(Vortex):
     speed: float = 1.0
     length: float = 2.0
     axis: str = "z"
-    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+    centre: Numbers = (0.0, 0.0, 240.0)
 
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         p, q = p * math.pi / self.length, q * math.pi / self.length
@@ -174,7 +174,7 @@ class LambOseen(Vortex):
     circulation: float = 10.0
     core: float = 0.5
     axis: str = "z"
-    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+    centre: Numbers = (0.0, 0.0, 240.0)
 
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         # On the axis (1 - exp(-s)) / s is 1, also of the smallest s.
@@ -201,7 +201,7 @@ class HillVortex(Vortex):
     speed: float = 1.0
     radius: float = 2.0
     axis: str = "z"
-    centre: tuple[float, ...] = (0.0, 0.0, 240.0)
+    centre: Numbers = (0.0, 0.0, 240.0)
 
     def _around(self, p: Doubles, q: Doubles, along: Doubles) -> tuple[Doubles | float, ...]:
         p, q, along = p / self.radius, q / self.radius, along / self.radius

@@ -126,7 +126,7 @@ def _flow(text: str, flows: Mapping[str, Callable[..., Flow]], centre: tuple[flo
         key, equals, value = setting.partition("=")
         refuse_if(not equals, f"flow = {short_repr(text)}: write it as NAME:KEY=VALUE,KEY=VALUE")
         require_known(f"flow: {name}: ", [key], names)
-        numbers: list[Any] = value.split("/")
+        numbers: list = value.split("/")
         with contextlib.suppress(ValueError):
             numbers = [float(number) for number in numbers]
         values[key] = numbers[0] if len(numbers) == 1 else tuple(numbers)

@@ -20,7 +20,7 @@ from ...camera import PlenopticCamera
 from ...errors import refuse_if, require_module
 from ...fields import OpticalSystem
 from ...points import BORDER, PupilWeights
-from ...runtime import Doubles, Numbers, require_memory
+from ...runtime import Doubles, Numbers, Pair, require_memory
 from .seeding import Seeding, Window
 
 _LARGEST = 2000.0
@@ -108,7 +108,7 @@ class ScatteredLight:
         """Distance of the entrance pupil along the axis in mm."""
         return float(OpticalSystem(self.camera, self.wavelength).lens.entrance.pupil)
 
-    def _pupil(self, positions: Doubles, x: Doubles, y: Doubles) -> tuple[Doubles, Doubles]:
+    def _pupil(self, positions: Doubles, x: Doubles, y: Doubles) -> Pair:
         """Return unit vectors (n, q, 3) in the fluid to points (q,) of the pupil, and the solid angles of a mm^2."""
         objective = self.camera.objective
         ratio = self.window.ratio(self.camera)

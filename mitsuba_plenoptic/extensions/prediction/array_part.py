@@ -10,7 +10,7 @@ import numpy as np
 from ...camera import PlenopticCamera
 from ...detector import SHARP
 from ...errors import refuse_if
-from ...runtime import Array, Named, Shape
+from ...runtime import Array, Named, Pair, Shape
 from ..calibrate.array_fit import ArrayFit, places
 from ..calibrate.field_fit import FieldNumbers, pixels_of_cells
 from ..calibrate.micro_image import NUMBERS, MicroImageModel, PupilNumbers
@@ -182,7 +182,7 @@ class ArrayPart:
         self._bright = np.array([brightness.get(tuple(lens), 1.0) for lens in pixels.lens.tolist()])
 
     @property
-    def middle(self) -> tuple[float, float]:
+    def middle(self) -> Pair:
         """Place of the middle of the part on the array, in millimetres in the camera frame."""
         camera = self.model.camera
         from_axis = self.place.mean(0) - (np.array(camera.resolution) - 1) / 2

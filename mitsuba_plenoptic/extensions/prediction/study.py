@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 
 from ...camera import PlenopticCamera, Use, require_support
 from ...errors import put, refuse_if, require_wavelength
 from ...io import Cache, digest
-from ...runtime import Array, Named, Progress
+from ...runtime import Array, Named, Pair, Progress
 from ..calibrate.photon_transfer import SensorNoise
 from ..calibrate.white_fit import fit_white
 from ..calibrate.white_frames import WhiteFrame, black_level, clipped, stuck
@@ -205,7 +204,7 @@ class Study:
         return CameraModel.of(self.stages.facts(f"camera_{light}", inputs, fitted))
 
     @cached_property
-    def _given(self) -> list[Any]:
+    def _given(self) -> list:
         """What all stages depend on."""
         return [
             digest(self.pictures.light_field),
@@ -337,7 +336,7 @@ class Study:
     def work(self) -> list[float]:
         """Return the work of each stage of `answer`, in their order."""
 
-        def run(planes: Sequence[float], steps: int = ITERATIONS) -> tuple[float, float]:
+        def run(planes: Sequence[float], steps: int = ITERATIONS) -> Pair:
             blurs = [self.camera.blur_diameter(plane) / self.camera.row_pitch for plane in planes]
             products = sum(16 * (blur + 2) ** 2 for blur in blurs)
             # Seconds of one machine, for the ratio of stages' work: per point of a plane; per pixel and step of a run,

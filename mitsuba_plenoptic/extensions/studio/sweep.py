@@ -27,6 +27,7 @@ from ...runtime import (
     Numbers,
     Progress,
     Sink,
+    Sizes,
     atomic_output,
     read_yaml,
     remove_leftovers,
@@ -45,7 +46,7 @@ DISTANCE = "distance"
 Grid = Mapping[str, Sequence[float]]
 
 
-def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]:
+def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list]:
     """Return the grid that a YAML file, if any, and texts such as ``name=1,2,3`` state."""
     content = {} if path is None else read_yaml(path)
     refuse_if(
@@ -60,7 +61,7 @@ def stated_grid(path: Path | None, texts: Iterable[str]) -> dict[str, list[Any]]
     return grid
 
 
-def check_grid(grid: Mapping[Any, Any]) -> dict[str, Numbers]:
+def check_grid(grid: Mapping) -> dict[str, Numbers]:
     """Return a grid of finite values without repetitions; refuse grids that are empty or too large."""
     checked = {}
     for name, values in grid.items():
@@ -95,7 +96,7 @@ class Points:
         # What the scene's sensor states, by the scene's parameters.
         self._of_sensor: dict[str, Facts] = {}
         # Rows and columns, and of bins, of the largest images.
-        self.largest: tuple[int, ...] = ()
+        self.largest: Sizes = ()
         # Of the capture of each point, and of its reconstructions.
         self._work: list[float] = []
         self.distances = grid.get(DISTANCE, ())
@@ -219,7 +220,7 @@ class SweepFile:
     Its images are as large as the largest; what smaller ones leave of them is not a number.
     """
 
-    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: tuple[int, ...]):
+    def __init__(self, file: Any, spec: CaptureSpec, grid: Grid, method: str, first: Capture, largest: Sizes):
         self.variables = file.variables
         self._grid = grid
         axes = [name for name in grid if name != DISTANCE]
@@ -260,7 +261,7 @@ class SweepFile:
             }
         )
 
-    def put(self, index: tuple[Any, ...], capture: Capture, images: list[Array]) -> None:
+    def put(self, index: tuple, capture: Capture, images: list[Array]) -> None:
         """Write one capture with its reconstructions into the file."""
         # A grid of distances alone has one capture, without an axis.
         at = tuple(map(int, index))

@@ -211,7 +211,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
     return Viewer(page.render(title=headline[0].upper() + headline[1:], data=data, facts=facts))
 
 
-def _sorted(sources: tuple[Any, ...]) -> tuple[list[Recording], list[tuple[float, Array, str]], list[xr.Dataset]]:
+def _sorted(sources: tuple) -> tuple[list[Recording], list[tuple[float, Array, str]], list[xr.Dataset]]:
     """Return the light fields, the planes from near to far (distance, image, method), and the depth maps."""
     recordings = []
     planes = []

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -60,7 +59,7 @@ def _reconstruction(path: Path) -> xr.DataArray:
     return _planes([image], [attributes.get("distance")], str(attributes.get("method", "reconstruction")))
 
 
-def _planes(images: list[Array], distances: list[Any], method: str) -> xr.DataArray:
+def _planes(images: list[Array], distances: list, method: str) -> xr.DataArray:
     """Return images as a focal stack."""
     values = [require_number("distance", value, positive=True, finite=False) for value in distances]
     refuse_if(len({image.shape for image in images}) > 1, "all of its images must be of one size")

@@ -1,7 +1,5 @@
 """The camera parameters with respect to which captures are differentiated, as Dr.Jit arrays with gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cache, partial
 from typing import Any, cast
@@ -199,7 +197,7 @@ class VaryingParameters:
         lattice = self._lattice(get, camera, (0.0, 0.0))
         return brightness(lattice, get["aperture_radius"][0], get["detector_distance"][0] / camera.mla_medium, pixel)
 
-    def _lattice(self, get: dict[str, list[Any]], camera: PlenopticCamera, offset: Any) -> Any:
+    def _lattice(self, get: dict[str, list], camera: PlenopticCamera, offset: Any) -> Any:
         """Return the upright lattice with an offset."""
         pitches = tuple(get["mla_pitch"])
         fill = get["mla_fill"][0]

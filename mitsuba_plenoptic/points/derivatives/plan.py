@@ -53,9 +53,6 @@ from .point_batches import (
 Direction = dict[str, Doubles]
 """Changes of parameters, by name."""
 
-_LEFT_OUT = 0.1
-"""Fraction of the effect of a moved lattice on copies that may be neglected, over the accuracy."""
-
 
 class DerivativePlan(PatchPlan):
     """Point spreads and their copies in other lenses, with the derivatives of their sum.
@@ -158,7 +155,8 @@ class DerivativePlan(PatchPlan):
         amounts = np.add.reduceat(distances, self._first) if len(self._first) else distances
         order = np.argsort(amounts, kind="stable")
         counted = np.zeros(len(amounts), bool)
-        counted[order] = np.cumsum(amounts[order]) > _LEFT_OUT * self._accuracy * amounts.sum()
+        # Fraction of the effect of a moved lattice on copies that may be neglected, over the accuracy.
+        counted[order] = np.cumsum(amounts[order]) > 0.1 * self._accuracy * amounts.sum()
         return counted
 
     def lit(self, chunk: Integers, weights: Doubles, moving: Flags) -> tuple[Fields, list[SpreadCopies]]:

@@ -281,6 +281,21 @@ def test_a_real_camera(tmp_path, run):
 
 
 @pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
+def test_the_board_of_a_real_camera_is_bent():
+    """Halves of the poses find one shape, with which lengths are surer and residuals smaller."""
+    board, start = Board(9, 5, 10.0), PlenopticCamera.preset("raytrix")
+    corners = read_corners(cases.REAL / "corners.csv", board, start.crop_size)
+    centres, half = read_centres(cases.REAL / "centres.csv"), corners["frame"] % 2 == 0
+    parts = [corners, corners.keep(half), corners.keep(~half)]
+    every, even, odd = (cal.calibrate(part, board, start, centres, bent=True) for part in parts)
+    assert every.evaluation.error < 0.905 and every.deviations["focal_length"] < 0.6
+    assert np.ptp(every.board_heights) > 0.6
+    np.testing.assert_allclose(even.board_heights, odd.board_heights, atol=0.2)
+    for name in ("focal_length", "mla_distance", "detector_distance"):
+        assert abs(even.numbers[name] - odd.numbers[name]) < 2 * np.hypot(even.deviations[name], odd.deviations[name])
+
+
+@pytest.mark.skipif(not cases.REAL.is_dir(), reason="needs the data of a real camera")
 def test_compote_cameras_are_read():
     # Errors of three poses by COMPOTE's own model, which distorts points, not rays.
     camera, index = read_camera(cases.REAL / "compote_intrinsics.json")

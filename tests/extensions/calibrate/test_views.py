@@ -8,13 +8,15 @@ import pytest
 import view_cases as cases
 from refusals import refuses
 
-from mitsuba_plenoptic import Capture, calibrate, render_capture, write_capture
+from mitsuba_plenoptic import Capture, Checkpoint, calibrate, decode, render_capture, write_capture
 from mitsuba_plenoptic import calibration as cal
 from mitsuba_plenoptic.calibration import Board, board_scene, detect_view_corners
+from mitsuba_plenoptic.extensions.calibrate import picture_corners
 from mitsuba_plenoptic.extensions.calibrate.board_model import NAMES, PRINCIPAL, numbers_of, predict
 from mitsuba_plenoptic.extensions.calibrate.detect import camera_centres
 from mitsuba_plenoptic.extensions.calibrate.observations import find_lens_index, observations
-from mitsuba_plenoptic.views import white_image
+from mitsuba_plenoptic.io import checkpoints
+from mitsuba_plenoptic.views import disparity, open_light_field, save_light_field, white_image
 
 NOISE = 0.03
 TRUE = numbers_of(cases.CAMERA) + np.array([0] * 8 + [0.01, -0.02, 12, -8, 2e-3, 1e-5, 1e-7, 1e-5, -2e-5])
@@ -91,12 +93,54 @@ def test_an_error_of_the_white_moves_distances_as_stated(found):
     assert 8 < off / moved.deviations["mla_distance"] < 16
 
 
+def test_the_shape_of_a_bent_board_is_found():
+    bend = np.random.default_rng(3).normal(0, 0.3, cases.BOARD.shapes(np.zeros(1, int)).shape[1])
+    corners, centres = cases.tables(TRUE, cases.BOARD, NOISE, np.random.default_rng(0), bend=bend)
+    flat, bent = (calibrate(corners, cases.BOARD, SHEET, centres, bent=bent) for bent in (False, True))
+    heights = cases.BOARD.shapes(np.arange(30)) @ bend
+    assert np.ptp(heights) > 1
+    assert np.abs(bent.board_heights - heights).max() < 0.05
+    assert bent.evaluation.error == pytest.approx(NOISE * 2**0.5, rel=0.05)
+    apart = np.array(list(bent.numbers.values())) - cases.indexed(TRUE, bent.index)
+    assert np.abs(np.delete(apart / list(bent.deviations.values()), PRINCIPAL)).max() < 4.5
+    # Of a board that is taken for flat, frames disagree.
+    assert flat.by_frames and flat.evaluation.error > 2 * bent.evaluation.error
+
+
 @pytest.mark.slow
 def test_deviations_are_true():
     errors = np.array([cases.normalised_errors(seed) for seed in range(40)])
     # Poses that disagree by chance widen deviations, and none narrow them: 0.89 over 200 seeds.
     assert 0.75 < (errors**2).mean() < 1.1
     assert (np.abs(errors.mean(0)) < 0.6).all()
+
+
+@pytest.mark.parametrize(("name", "other"), [("principal_u", 40.0), ("k1", 2e-3)])
+def test_what_part_of_the_field_leaves_open_is_named(name, other):
+    """Data made with another value give the same residual, and the result says so."""
+    board, results = Board(6, 5, 5.0), []
+    for step in (0.0, other):
+        numbers = TRUE + step * (np.array(NAMES) == name)
+        seen = cases.tables(numbers, board, 0.5, np.random.default_rng(0), at=cases.poses(board, 0.1))
+        results.append(calibrate(seen[0], board, SHEET, seen[1]))
+    usual, moved = results
+    assert moved.evaluation.error == pytest.approx(usual.evaluation.error, rel=0.01)
+    assert name in usual.assumed and name in moved.assumed
+    assert abs(moved.numbers[name] - usual.numbers[name]) < 0.5 * other
+
+
+def test_squares_of_another_size_explain_the_corners_of_a_light_field_as_well():
+    """Without an f-number the board's squares alone tell the scale of all distances."""
+    corners, centres = cases.tables(TRUE, cases.BOARD, NOISE, np.random.default_rng(0))
+    small, large = (
+        calibrate(corners, replace(cases.BOARD, square=square), SHEET, centres, fills_pupil=True)
+        for square in (28.0, 56.0)
+    )
+    assert large.evaluation.error == pytest.approx(small.evaluation.error, rel=1e-3)
+    np.testing.assert_allclose(large.evaluation.poses[:, 3:], 2 * small.evaluation.poses[:, 3:], rtol=5e-3, atol=1.5)
+    with pytest.warns(match="check the sizes of squares"):
+        calibrate(corners, replace(cases.BOARD, square=42.0), SHEET, centres)
+    assert large.camera.f_number == pytest.approx(small.camera.f_number / 2, rel=0.03)
 
 
 def changed(table, **columns):
@@ -199,3 +243,51 @@ def test_pictures_become_a_camera_in_millimetres(pictures, tmp_path, run, compla
     shifted = tmp_path / "other.exr"
     write_capture(shifted, Capture(np.roll(10 * white, 3, axis=1).astype(np.float32), sheet))
     assert "of another camera" in complaint("calibrate", "boards", *names, "--white", shifted, *given[2:])
+
+
+def test_a_stopped_run_goes_on(pictures, tmp_path, monkeypatch):
+    poses, images, white = pictures
+    del poses
+    paths = [tmp_path / f"board{number}.exr" for number in range(len(images))]
+    for name, image in zip([*paths, tmp_path / "white.exr"], [*images, white], strict=True):
+        write_capture(name, Capture(image, SMALL))
+    monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
+    looked_at = []
+
+    def detect(*given, name, **others):
+        looked_at.append(name)
+        if len(looked_at) == 4:
+            raise KeyboardInterrupt
+        return detect_view_corners(*given, name=name, **others)
+
+    monkeypatch.setattr(picture_corners, "detect_view_corners", detect)
+
+    def found():
+        with Checkpoint(tmp_path / "kept", "resume_if_same") as kept:
+            return picture_corners.corners_of_pictures(
+                paths, tmp_path / "white.exr", FEW, None, None, True, kept, lambda *_: None
+            )[1]
+
+    with pytest.raises(KeyboardInterrupt):
+        found()
+    table = found()
+    assert looked_at == [str(path) for path in [*paths[:4], *paths[3:]]] and not (tmp_path / "kept").exists()
+    assert (np.bincount(table["frame"]) > 30 * 20).all()
+
+
+def test_light_fields_without_raw_pictures_become_metric(pictures, tmp_path, run):
+    poses, images, _ = pictures
+    paths = [tmp_path / f"field{number}.mat" for number in range(len(images))]
+    fields = [decode(Capture(image, SMALL)) for image in images]
+    for path, lf in zip(paths, fields, strict=True):
+        save_light_field(path, lf.drop_attrs())
+    output = tmp_path / "camera.json"
+    run("calibrate", "boards", *paths, "--board", "6x5", "--square", "7", "-o", output)
+    record = json.loads(output.read_text())["calibration"]
+    depths = np.array([pose[5] for pose in record["poses"].values()])
+    np.testing.assert_allclose(depths, poses[:, 5], rtol=0.03)
+    # A bin moves from view to view as in front of the camera that took the picture.
+    lf = open_light_field(paths[0], camera=cal.read_camera(output)[0])
+    refuses("has 630 x 630 pixels, the camera.s picture .700, 700.", open_light_field, paths[0], camera=SMALL)
+    for distance in (250.0, 400.0, 900.0):
+        assert disparity(lf, distance) == pytest.approx(disparity(fields[0], distance), abs=0.02)

@@ -50,15 +50,15 @@ def grid_of(numbers):
     return np.linalg.lstsq(np.column_stack([np.ones(len(lens)), lens]), centres)[0]
 
 
-def exact(numbers=None, at=None, board=BOARD):
+def exact(numbers=None, at=None, board=BOARD, bend=()):
     """Corners in views without noise, inside the picture, and the grid of lenses."""
-    numbers = numbers_of(CAMERA) if numbers is None else numbers
+    numbers = np.append(numbers_of(CAMERA) if numbers is None else numbers, bend)
     at = poses(board) if at is None else at
     grid = grid_of(numbers)
     pose, corner, arm = (i.ravel() for i in np.indices((len(at), board.columns * board.rows, len(ARMS))))
-    lens = np.zeros((len(pose), 2))
+    lens, shapes = np.zeros((len(pose), 2)), board.shapes(corner)[:, : len(bend)]
     for _ in range(4):
-        seen = Observations(lens, grid[0] + lens @ grid[1:] + ARMS[arm], board.places(corner), pose)
+        seen = Observations(lens, grid[0] + lens @ grid[1:] + ARMS[arm], board.places(corner), pose, shapes)
         lens = predict(numbers, at, seen, grid=grid, **GEOMETRY)[0] / [1, GEOMETRY["row_ratio"]]
     pixel = grid[0] + lens @ grid[1:] + ARMS[arm]
     inside = ((pixel > 5) & (pixel < np.array(CAMERA.crop_size) - 6)).all(1)
@@ -71,9 +71,9 @@ def noisy(seen, grid, noise, generator):
     return Observations(seen.lens + off, seen.pixel + off @ grid[1:], seen.board, seen.pose)
 
 
-def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0)):
+def tables(numbers, board, noise, generator, scatter=0.03, scale=(1.0, 1.0), at=None, bend=()):
     """Corners and centres of micro-images as files have them; the centres of 16 lenses along each axis err together."""
-    seen, grid = exact(numbers, board=board)
+    seen, grid = exact(numbers, at, board, bend)
     seen = noisy(seen, grid, noise, generator)
     corner = np.round(seen.board / board.square).astype(int) @ [1, board.columns]
     lens = np.indices((64, 64)).reshape(2, -1).T * 4 - 128

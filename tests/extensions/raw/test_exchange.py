@@ -239,7 +239,6 @@ class TestFiles:
 test_refused = refused(
     (lambda folder: ex.open_light_field(folder / "a.jpg"), "ends in"),
     (lambda folder: ex.open_light_field(folder / "a.tif"), "no such file"),
-    (lambda folder: ex.open_light_field(folder / "a.nc", camera=CAMERA), "camera = given"),
     (lambda folder: ex.open_light_field(folder / "a.png", white="w.png", views=3), "exclude"),
     (lambda folder: ex.open_light_field(folder / "a.exr", views=3), "views = 3"),
     (lambda folder: ex.open_light_field(folder / "a.mat", white="w.png"), "white = w.png"),

@@ -179,7 +179,7 @@ def fourier(
         yield {
             "scene": name, "pixels": size, "samples": samples, "rays": rays, "first": times["wave"][0], "waves": waves,
             "ratio": waves / rays, "light": sums["wave"] / sums["ray"],
-            "limit": 2.0 if name == "plane" and size >= 2048 else None,
+            "limit": 1.5 if size >= 2048 else None,
         }  # fmt: skip
 
 
