@@ -58,7 +58,7 @@ def write_calibration(path: str | Path, calibration: Calibration, board: Board) 
         ],
         "open_direction": calibration.open_direction,
         "prediction_deviation_px": calibration.prediction_deviation,
-        "pose_convention": "by frame: rotation vector in radians and place of corner 0 in mm, "
+        "pose_convention": "by frame: rotation vector in radians and place in mm of the first corner seen, "
         "from the board's to the camera frame",
         "poses": {str(frame): pose.tolist() for frame, pose in zip(evaluation.frames, evaluation.poses, strict=True)},
         "outlier_rows": (evaluation.outliers + 2).tolist(),

@@ -101,7 +101,7 @@ def on_pictures(pictures: Sequence[Path], corners: Corners) -> plots.Plot:
         plots.show(axes[frame], block_reduce(image, step, np.mean), f"{frame}")
         seen = corners.keep(corners["frame"] == frame)
         x, y = (seen[name] / step for name in ("xy" if seen.in_views else "uv"))
-        axes[frame].plot(x, y, ",", color=plots.ACCENT)
+        axes[frame].plot(x, y, ",", color=plots.ACCENT, scalex=False, scaley=False)
     return plot
 
 

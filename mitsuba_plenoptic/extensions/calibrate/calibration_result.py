@@ -282,12 +282,12 @@ def summary(calibration: Calibration, most: int) -> list[str]:
         lines.append(
             f"frames disagree {calibration.disagreement:.1f} times as much as their own scatter explains, so that the "
             "model misses something: deviations are those of leaving out frames"
-            + "; --bent fits a board that is not flat"
+            + "; if the board is not flat, --bent fits its shape"
             * (not len(calibration.board_heights))
         )
     if len(calibration.board_heights):
         low, high = calibration.board_heights.min(), calibration.board_heights.max()
-        lines.append(f"the board is bent: corners lie {low:+.3f} to {high:+.3f} mm behind a plane")
+        lines.append(f"the shape of the board: corners lie {low:+.3f} to {high:+.3f} mm behind a plane")
     lines += outlier_lines(calibration.evaluation, most)
     if len(calibration.centre_outliers):
         rows = listed((calibration.centre_outliers + 2).tolist(), most)
