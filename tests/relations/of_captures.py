@@ -195,7 +195,7 @@ of_scenes("wave", Use.SCENES)
 def white_of_scenes(draw):
     """A white world is as bright by waves as by rays, whatever pixels are beside the diffraction."""
     scene = sky(mp.PlenopticCamera(**scaled(draw.parameters, float(draw.rng.choice([1, 6, 40])))))
-    waves = mp.render_capture(scene, model="wave", spp=16, wavelength=draw.wavelength).image.mean()
+    waves = mp.render_capture(scene, model="wave", spp=256, wavelength=draw.wavelength).image.mean()
     return abs(float(waves / mp.render_capture(scene, model="ray", spp=64).image.mean()) - 1), 0.006
 
 
