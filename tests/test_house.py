@@ -55,7 +55,7 @@ REACHED = {
     "lines": 76_200,
     "lines of the core": 50_450,
     "tokens": 544_769,
-    "tokens of the core": 351_300,
+    "tokens of the core": 351_400,
     "functions": 4_055,
     "percentage of functions of at most three statements": 47.6,
     "checks and raises": 1_766,

@@ -25,7 +25,7 @@ class Element:
     def __init__(
         self,
         step: Step,
-        function: Callable | None = None,
+        function: Callable[[Any, Any], Any] | None = None,
         *,
         along_x: Field | None = None,
         along_y: Field | None = None,
@@ -39,7 +39,7 @@ class Element:
         self._lit = np.ones(step.y.count, bool) if along_y is None else active_backend().to_host(along_y) != 0
 
     @classmethod
-    def separated(cls, step: Step, function: Callable, point: Pair) -> Element:
+    def separated(cls, step: Step, function: Callable[[Any, Any], Any], point: Pair) -> Element:
         """Return a product of a function of x and one of y, from its values on two lines through a point.
 
         Its modulus is 1 at that point.
@@ -91,7 +91,7 @@ class Element:
         return _evaluate(self._step.x.source, self._step.y.source[rows], self._function)
 
 
-def _evaluate(x: Array, y: Array, function: Callable) -> Field:
+def _evaluate(x: Array, y: Array, function: Callable[[Any, Any], Any]) -> Field:
     """Return a function of two Dr.Jit arrays at all pairs of coordinates."""
     types = active_backend().types
     row, column = fft.rows_and_columns(types, len(y), len(x))

@@ -80,7 +80,7 @@ class FreeSpace:
     wavelength: float
     paraxial: bool = False
     beyond_paraxial: bool = False
-    response: Callable | None = None
+    response: Callable[[Any, Any], Any] | None = None
 
     @property
     def back(self) -> FreeSpace:

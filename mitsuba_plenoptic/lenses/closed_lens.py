@@ -43,7 +43,7 @@ class ClosedLens(Light):
         """Return this lens, whose light is the same for all points."""
         return self
 
-    def opaque(self, convert: Callable) -> Self:
+    def opaque(self, convert: Callable[[Any], Any]) -> Self:
         """Return this lens unchanged."""
         return self
 

@@ -134,7 +134,7 @@ class FittedLens:
         changed = {name: numbers[name] for name in LENS_NUMBERS if name in names}
         return VaryingLens(self, numbers["mla_distance"], changed, turned)
 
-    def opaque(self, convert: Callable) -> FittedLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> FittedLens:
         """Return this lens, whose parameters are stored in arrays and are opaque already."""
         return self
 

@@ -124,7 +124,7 @@ class MainLens(Protocol):
             Clockwise rotation of the scene, in degrees, that precedes the frame of the points.
         """
 
-    def opaque(self, convert: Callable) -> MainLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> MainLens:
         """Return the lens with its plain parameters made opaque, by a function, to the compiler of kernels."""
 
 

@@ -120,7 +120,7 @@ class RealLens(LensSystem):
         radius, depths = self.front_bounds
         return Entrance(pupils.entrance, max(depths), pupils.magnification, radius, depths)
 
-    def opaque(self, convert: Callable) -> RealLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> RealLens:
         """Return this lens, whose surfaces are compiled into kernels."""
         return self
 

@@ -183,7 +183,7 @@ class ThinLens(ClosedLens):
         pupil = Pupil(numbers["aperture_radius"], numbers["mla_distance"])
         return replace(self, focal_length=numbers["focal_length"], pupil=pupil, aberrations=numbers["wavefront"])
 
-    def opaque(self, convert: Callable) -> ThinLens:
+    def opaque(self, convert: Callable[[Any], Any]) -> ThinLens:
         """Return the lens with parameters that are not compiled into kernels."""
         pupil = replace(self.pupil, radius=convert(self.pupil.radius), distance=convert(self.pupil.distance))
         aberrations = [convert(value) for value in self.aberrations]

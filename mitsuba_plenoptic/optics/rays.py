@@ -178,7 +178,7 @@ _ANGLES = 1025
 """Angles in the table."""
 
 
-def second_leg(pairs: Numbers, absorption: float, kind: Any = None) -> Callable:
+def second_leg(pairs: Numbers, absorption: float, kind: Any = None) -> Callable[[Any, Any], Any]:
     """Return a function of lateral path and depth behind the lenses that gives the part of the power that counts.
 
     `pairs` are angles of incidence in degrees and the responses of pixels there, in turn, of which the last is the

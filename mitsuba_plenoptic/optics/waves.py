@@ -265,7 +265,7 @@ def advance(
     part: Shape | None,
     paraxial: bool,
     beyond_paraxial: bool,
-    response: Callable | None,
+    response: Callable[[Any, Any], Any] | None,
 ) -> Field:
     r"""Return a field's spectrum multiplied by free space's transfer function :math:`\exp(i (k_z - k) d)`.
 
@@ -287,7 +287,7 @@ def _advance(
     distance: float,
     wavelength: float,
     part: Shape | None = None,
-    response: Callable | None = None,
+    response: Callable[[Any, Any], Any] | None = None,
     **how: Any,
 ) -> Any:
     """Multiply a packed spectrum, zero frequency first, by the transfer function of free space; see `transfer`."""

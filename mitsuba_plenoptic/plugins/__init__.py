@@ -19,7 +19,7 @@ _OWN = {"plenoptic": ("sensor", "sensor"), "plenoptic_wave": ("integrator", "int
 """Plugins of the core: their modules and kinds."""
 
 
-def _constructor(module: str) -> Callable:
+def _constructor(module: str) -> Callable[[Any], Any]:
     """Return a function that makes plugins of one variant."""
 
     @cache

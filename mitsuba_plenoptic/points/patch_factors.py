@@ -54,7 +54,7 @@ class Elements:
     growth: Any = 1.0
     """Factor on all sample distances on the MLA and the detector, and on the positions of patches. It follows the
     wavelength, so that directions and points of the pupil are fixed."""
-    aberration: Callable | None = None
+    aberration: Callable[[Any, Any], Any] | None = None
     """An additional path of the main lens, in millimetres, at points x and y of its pupil in the camera frame."""
 
 

@@ -31,7 +31,7 @@ class SeenPupil:
     light: Light
     pupil_radius: Any
 
-    def amplitude(self, pupil: Pair, point: Triple, soften: Callable) -> Any:
+    def amplitude(self, pupil: Pair, point: Triple, soften: Callable[[Any], Any]) -> Any:
         """Return the amplitude of light behind points of the pupil.
 
         `soften` makes of distances in mm from the pupil's rim or the outline, positive inside, what an edge transmits.

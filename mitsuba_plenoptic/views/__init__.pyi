@@ -1,6 +1,5 @@
 """What other folders and extensions may use of `views`."""
 
-from .coordinates import DIMS as DIMS
 from .coordinates import camera_of as camera_of
 from .coordinates import disparity as disparity
 from .coordinates import distance_of as distance_of
@@ -45,6 +44,7 @@ from .refocusing import shift_and_add as shift_and_add
 from .truth import FirstHits as FirstHits
 from .truth import ground_truth as ground_truth
 from .viewpoints import epipolar_image as epipolar_image
+from .viewpoints import lens_mosaic as lens_mosaic
 from .viewpoints import pick_views as pick_views
 from .viewpoints import view as view
 from .viewpoints import view_mosaic as view_mosaic

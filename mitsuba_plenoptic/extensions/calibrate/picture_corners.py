@@ -15,7 +15,7 @@ from ...design import focus_type
 from ...errors import InputError, naming, refuse_if
 from ...io import RECORDED, Capture, Checkpoint, digest
 from ...runtime import Array, Progress
-from ...views import open_light_field, pixels_around, read_recording
+from ...views import lens_mosaic, open_light_field, pixels_around, read_recording
 from ..raw.lytro_file import nearest_white
 from .detect import camera_centres, detect_corners, even_colours
 from .observations import DOUBTFUL_COLUMN, Board, Table, concatenate
@@ -40,7 +40,7 @@ def corners_of_pictures(
     if is_light_field(paths[0]):
         lf = open_light_field(paths[0])
         camera = camera_of_views(lf)
-        light, centres = _lenses_together(lf["weight"]), camera_centres(camera)
+        light, centres = lens_mosaic(lf["weight"]), camera_centres(camera)
     else:
         if white is None:
             raise InputError("--white: pictures need a white picture of the same camera, or a folder of them")
@@ -106,13 +106,7 @@ def camera_of_views(lf: xr.DataArray) -> PlenopticCamera:
 
 def recorded(path: Path, linear: bool) -> Capture | Array:
     """Read a raw picture, or a light field's mosaic of lenses."""
-    return _lenses_together(open_light_field(path)) if is_light_field(path) else read_recording(path, linear)
-
-
-def _lenses_together(lf: xr.DataArray) -> Array:
-    """Return the samples (t v, s u, channels) of each lens of a light field together."""
-    v, u, t, s = lf.shape[:4]
-    return lf.transpose("t", "v", "s", "u", ...).values.reshape(t * v, s * u, -1)
+    return lens_mosaic(open_light_field(path)) if is_light_field(path) else read_recording(path, linear)
 
 
 def unclipped(centres: Table, white: Array) -> Table:

@@ -21,7 +21,6 @@ from ...points import CaptureOperator, derivatives
 from ...runtime import Array, Named, Sizes
 from .differentiable import CoherentRefocus, DeconvolvedRefocus, RayRefocus
 
-Shape = Sizes
 Refocus = RayRefocus | CoherentRefocus | DeconvolvedRefocus
 
 
@@ -34,15 +33,15 @@ class LinearFunction:
     # What it takes and its results, for messages, and their last axes.
     takes: str
     gives: str
-    before: Shape
-    after: Shape
+    before: Sizes
+    after: Sizes
 
     @property
     def T(self) -> LinearFunction:
         """Transpose of this linear map."""
         return LinearFunction(self.transposed, self.straight, self.gives, self.takes, self.after, self.before)
 
-    def shape(self, shape_of_input: Shape) -> Shape:
+    def shape(self, shape_of_input: Sizes) -> Sizes:
         """Return the shape of the result for an array of a given shape; refuse wrong shapes before computing."""
         return *_batch(self.takes, shape_of_input, self.before), *self.after
 
@@ -65,7 +64,7 @@ class SmoothFunction(Protocol):
     def at(self, *arrays: Array) -> Value:
         """Return the value of the function at given arrays, with the data for its derivatives."""
 
-    def shape(self, shape_of_input: Shape) -> Shape:
+    def shape(self, shape_of_input: Sizes) -> Sizes:
         """Return the shape of the result for a first array of a given shape; refuse wrong shapes before computing."""
 
 
@@ -86,9 +85,9 @@ class Latest:
     """
 
     function: SmoothFunction
-    copied: Callable
+    copied: Callable[[Any], Any]
     equal: Callable[[Any, Any], bool]
-    taken: Callable
+    taken: Callable[[Any], Any]
 
     def __post_init__(self) -> None:
         self.shape = self.function.shape
@@ -113,7 +112,7 @@ class Latest:
         return value
 
 
-def _batch(name: str, stated: Shape, last: Shape) -> Shape:
+def _batch(name: str, stated: Sizes, last: Sizes) -> Sizes:
     """Return the batch axes of a shape; refuse arrays whose last axes are wrong."""
     refuse_if(
         stated[-len(last) :] != last or not math.prod(stated),
@@ -152,7 +151,7 @@ def _products(operator: CaptureOperator, images: Array) -> Array:
     return _applied(operator.adjoint, _columns(operator, images, 1), images, *_axes(operator)[::-1])
 
 
-def _axes(operator: CaptureOperator) -> tuple[Shape, Shape]:
+def _axes(operator: CaptureOperator) -> tuple[Sizes, Sizes]:
     """Return the last axes of weights and of images of an operator, without the batch."""
     count = len(operator.points)
     shape = operator.camera.shape
@@ -171,7 +170,7 @@ def _columns(operator: CaptureOperator, values: Array, side: int = 0) -> list[Ar
 
 
 def _applied(
-    function: Callable[[Array], Array], columns: Sequence[Array], values: Array, before: Shape, after: Shape
+    function: Callable[[Array], Array], columns: Sequence[Array], values: Array, before: Sizes, after: Sizes
 ) -> Array:
     """Return the results of a function of columns of values as a batch like the values."""
     results = np.concatenate([np.moveaxis(function(column), -1, 0) for column in columns])
@@ -204,7 +203,7 @@ class CameraCapture:
         self._make, self._camera, self._names = make, camera.regular, tuple(names)
 
     @cached_property
-    def _last_axes(self) -> tuple[Shape, Shape]:
+    def _last_axes(self) -> tuple[Sizes, Sizes]:
         """The last axes of weights and of images; the operator itself is not kept, since it may be large."""
         return _axes(self._make(self._camera))
 
@@ -216,7 +215,7 @@ class CameraCapture:
         camera = self._camera.replace(**{"aperture_radius": self._camera.aperture_radius} | changed)
         return CameraValue(self._make(camera), camera, self._names, weights, values)
 
-    def shape(self, shape_of_input: Shape) -> Shape:
+    def shape(self, shape_of_input: Sizes) -> Sizes:
         """Return the shape of images for weights of a given shape."""
         before, after = self._last_axes
         return *_batch("weights", shape_of_input, before), *after
@@ -289,7 +288,7 @@ class Refocused:
         """Return refocused captures together with their derivatives."""
         return RefocusedValue(self.by, *arrays)
 
-    def shape(self, shape_of_input: Shape) -> Shape:
+    def shape(self, shape_of_input: Sizes) -> Sizes:
         """Return the shape of refocused images for captures of a given shape; refuse a wrong shape."""
         return *_batch(_NAMES[0], shape_of_input, self.by.camera.shape), *self.by.shape
 

@@ -12,9 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import refuse_if, require_count, require_known, short_repr
-from ...runtime import drjit_array, one_at_a_time
+from ...runtime import Sizes, drjit_array, one_at_a_time
 from ...scene import MOST_SAMPLES
-from .array_functions import Shape
 
 
 class Rendering:
@@ -34,13 +33,13 @@ class Rendering:
         Seed of the samples.
     """
 
-    def __init__(self, scene: Any, shapes: Mapping[str, Shape], *, integrator: Any, spp: int, seed: int):
+    def __init__(self, scene: Any, shapes: Mapping[str, Sizes], *, integrator: Any, spp: int, seed: int):
         # Each variant has a class of its own.
         refuse_if(not hasattr(scene, "sensors"), f"scene = {short_repr(scene)}: it must be a scene of Mitsuba")
         self._scene, self._integrator, self.parameters = scene, integrator or scene.integrator(), mi.traverse(scene)
         self._spp = require_count("spp", spp, minimum=0, maximum=MOST_SAMPLES)
         self._seed = require_count("seed", seed, minimum=0, maximum=2**32 - 1)
-        self._expected = dict[str, Shape]()
+        self._expected = dict[str, Sizes]()
         refuse_if(not scene.sensors(), "scene: it has no sensor")
         refuse_if(self._integrator is None, "integrator: the scene has none: give one")
         self.require_variant()
@@ -64,7 +63,7 @@ class Rendering:
         """Return the image of the scene with given parameter values."""
         return RenderedValue(self, given)
 
-    def shape(self, _: Shape) -> Shape:
+    def shape(self, _: Sizes) -> Sizes:
         """Return the shape of the image."""
         film = self._scene.sensors()[0].film()
         film.prepare(getattr(self._integrator, "child", self._integrator).aov_names())

@@ -18,7 +18,6 @@ from ...refocus import Reconstruction
 from ...report import images, pages
 from ...runtime import Array, Named, write_text
 from ...views import (
-    DIMS,
     bin_grid,
     camera_of,
     decode,
@@ -152,7 +151,7 @@ def view(*sources: Capture | Recording | Reconstruction | xr.DataArray | xr.Data
         f"sources: light fields of the shapes {' and '.join(map(str, shapes))} cannot be compared: they must be alike",
     )
     for recording in recordings[1:]:
-        for axis in DIMS:
+        for axis in recording.light_field.dims[:4]:
             refuse_if(
                 not np.allclose(recording.light_field[axis], recordings[0].light_field[axis], rtol=1e-6, atol=1e-9),
                 f"sources: light fields whose {axis} differ cannot be compared: they must be of the same camera",
