@@ -125,8 +125,8 @@ def displacements(tilted: Sequence[Doubles], slope: float, camera: PlenopticCame
         count = image.shape[1 - axis]
         axis_offset = (np.arange(count) - (count - 1) / 2).reshape((1, -1, 1) if axis == 0 else (-1, 1, 1))
         position = (image - 1) / slope * (oversample / camera.row_pitch)
-        # Displacement that is believed, in lens pitches. Beyond, as where interference leaves little light, it is cut.
-        farthest = 1.0 * oversample
+        # Displacements beyond a lens pitch, as where interference leaves little light, are cut.
+        farthest = float(oversample)
         moved.append(np.nan_to_num(position - axis_offset).clip(-farthest, farthest))
     return moved
 
