@@ -345,7 +345,7 @@ SUPPORT: dict[str, tuple[Support, ...]] = {
             Condition("behind an objective", lambda camera: camera.objective is not None),
         ),
         refused(
-            Use.FITS | Use.SPREAD_BANKS | Use.LENS_CENTRES | Use.CALIBRATION,
+            Use.FITS | Use.SPREAD_BANKS | Use.LENS_CENTRES | Use.CALIBRATION | Use.POINT_DERIVATIVES,
             "the array is in the image of a telescope's pupil, and shows slopes of a wavefront in place of points",
             "mitsuba_plenoptic.wavefront.spot_slopes",
             _COLLIMATOR,

@@ -221,6 +221,7 @@ class LensRays:
         turned = camera.mla_rotation != 0 or dr.grad_enabled(numbers["mla_rotation"])
         pitch = numbers["mla_pitch"]
         offset = numbers["mla_offset"]
+        focal_length = numbers["mla_focal_length"]
         lattice = make_lattice(
             camera.mla_lattice,
             (dr.gather(mi.Float, pitch, 0), dr.gather(mi.Float, pitch, 1)) if dr.width(pitch) > 1 else (pitch, pitch),
@@ -230,7 +231,7 @@ class LensRays:
             fill=numbers["mla_fill"],
             displacement=camera.displacement(numbers["detector_distance"]),
         )
-        walk = Walk(camera, lens, lattice, numbers["mla_focal_length"], numbers["detector_distance"], camera.mla_medium)
+        walk = Walk(camera, lens, lattice, focal_length, numbers["detector_distance"], camera.mla_medium)
         rays = cls(walk, Dispersion.of(camera), CHIEF)
         return replace(rays, choice=LensChoice.of_points(rays.ends))
 
