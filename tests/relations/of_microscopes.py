@@ -39,12 +39,13 @@ def microscope(rng):
     )  # fmt: skip
 
 
-def plane(camera, rng, s=1.0):
+def plane(camera, rng, s=1.0, mirrored=False):
     """Return the scene of a textured plane that fills the field, s times as large, tilted and out of focus."""
-    texture = mi.Bitmap(rng.random((6, 6, 1), np.float32))
+    texture = mi.Bitmap(np.ascontiguousarray(rng.random((6, 6, 1), np.float32)[:, :: -1 if mirrored else 1]))
     radiance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest", "raw": True}
     half, depth = 2 * camera.main_lens.field_stop / camera.main_lens.magnification, s * float(rng.uniform(-5e-3, 5e-3))
-    place = mi.ScalarTransform4f().translate([0, 0, depth]).rotate([0, 1, 0], 170).scale(half)
+    turn = 190 if mirrored else 170
+    place = mi.ScalarTransform4f().translate([0, 0, depth]).rotate([0, 1, 0], turn).scale(half)
     shape = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": radiance}}
     return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": camera.to_sensor(), "plane": shape})
 
@@ -97,3 +98,38 @@ def light_of_fourier_microscopes(draw):
         around = ray[int(y) - 2 : int(y) + 3, int(x) - 2 : int(x) + 3]
         means.append(abs(around.mean() - part))
     return max([*means, abs(float(wave.sum() / ray.sum()) - 1) - 0.03]), 0.08
+
+
+def of_noise(draw, camera, other, inside=np.s_[:], mirrored=False):
+    """Return how far a capture by another microscope is from part of one by the first, in stated deviations."""
+    seed, model = int(draw.rng.integers(1000)), str(draw.rng.choice(["ray", "wave"]))
+    one, two = (
+        mp.render_capture(
+            plane(each, np.random.default_rng(seed), mirrored=turned), model=model, spp=256, seed=number, noise=True,
+            **({"wavelength": 550.0} if model == "wave" else {}),
+        )
+        for number, (each, turned) in enumerate(((camera, False), (other, mirrored)))
+    )  # fmt: skip
+    there, noise = ((array[:, ::-1] if mirrored else array) for array in (two.image, np.asarray(two.noise, float)))
+    stated = np.sqrt((noise**2 + np.asarray(one.noise, float)[inside] ** 2).sum())
+    return float(np.linalg.norm(there - one.image[inside]) / stated)
+
+
+@relation(Use(0), ALL, "Fourier microscopes")
+def crop_of_fourier_microscopes(draw):
+    """A crop is the same pixels of the whole, within stated noise."""
+    camera = microscope(draw.rng)
+    x, y, width, height = (int(n) for n in camera.resolution[0] * draw.rng.uniform([0, 0, 0.4, 0.4], [0.3, 0.3, 0.7, 0.7]))
+    other = camera.replace(crop_offset=(x, y), crop_size=(width, height))
+    return of_noise(draw, camera, other, np.s_[y : y + height, x : x + width]), 1.4
+
+
+@relation(Use(0), ALL, "Fourier microscopes")
+def mirror_of_fourier_microscopes(draw):
+    """The mirrored plane by the mirrored microscope: the mirrored capture, within stated noise."""
+    camera = microscope(draw.rng)
+    lengths, (x, y) = camera.mla_focal_lengths, camera.mla_offset
+    other = camera.replace(
+        mla_offset=(-x, y), mla_rotation=-camera.mla_rotation, mla_focal_length=lengths[:1] + lengths[:0:-1]
+    )
+    return of_noise(draw, camera, other, mirrored=True), 1.4

@@ -35,6 +35,7 @@ SEEDS = {
     "white_deconvolved": 507, "white_incoherent": 502, "quarter_turn": 501, "array_partial": 501, "blur": 601,
     "single_laser_point": 609, "part_ray": 602, "short_waves": 604, "seeds_of_scenes_by_waves": 610,
     "units_of_fourier_microscopes": 708, "light_of_fourier_microscopes": 703,
+    "crop_of_fourier_microscopes": 817, "mirror_of_fourier_microscopes": 828,
 }  # fmt: skip
 """Draws of three options or four that cost little; hunts draw the dear ones."""
 
