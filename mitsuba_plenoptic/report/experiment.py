@@ -250,7 +250,7 @@ def run_experiment(
             refuse_if(math.isinf(distance), "distance = inf: sharpness is measured on an edge at a finite distance")
             # First without the array, which says of some main lenses that they need one.
             twin = camera.replace(mla_lattice="none").replace(focus_distance=distance)
-    require_support(camera, Use.RAY_REFOCUSING)
+    require_support(camera, Use.RAY_REFOCUSING | Use.SCENES)
     if not is_supported(camera, Use.FIELDS):
         possible = tuple(
             method for method in settings.methods if method.options["method"] not in ("coherent", "partial")
