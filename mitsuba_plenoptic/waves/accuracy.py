@@ -96,7 +96,7 @@ class WaveAccuracy:
     # part of the pupil undoes the aberration, polynomials have to follow this defocus.
     pupil_degree: int = 6
     part_degree: int = 5  # degree of the polynomials over each part of coded pupils, likewise
-    lens_degree: int = 12  # degree of the polynomials over whole lenses in the image of the stop
+    lens_degree: int = 10  # degree of the polynomials over whole lenses in the image of the stop
     airy_reach: float = 24.0  # half width of kernels in lambda b / R: 0.4 % of the Airy pattern is beyond
     coarse_reach: float = 12.0  # that of coarse pixels, whose kernels are differences from the Airy pattern
     taper: float = 0.75  # part of half the width, or period, of a kernel from where it falls to zero
