@@ -25,9 +25,8 @@ WARP_POWERS = exponents(5, lowest=2)
 _STEPS = 3
 """Steps from a position to the regular one, each of which leaves the gradient's part of the error."""
 
-_ALONG = 33
 _SMALL = 1e-6
-"""Places along each axis at which displacements are compared, and the step in mm of their finite differences."""
+"""Step in mm of finite differences of displacements."""
 
 
 class Lenslet(NamedTuple):
@@ -111,7 +110,8 @@ class Displacement:
 
     def most_smooth(self, low: Corner, high: Corner) -> Pair:
         """Return the largest smooth displacement in a rectangle, in mm, and the largest change of one per mm."""
-        x, y = np.meshgrid(*(np.linspace(*ends, _ALONG) for ends in zip(low, high, strict=True)))
+        # 33: Places along each axis at which displacements are compared.
+        x, y = np.meshgrid(*(np.linspace(*ends, 33) for ends in zip(low, high, strict=True)))
         moved = np.array(self._moved(x, y))
         slopes = np.array([self._moved(x + _SMALL, y), self._moved(x, y + _SMALL)]) - moved
         # No singular value is larger than the root of the sum of squares.

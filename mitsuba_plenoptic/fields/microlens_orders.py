@@ -61,10 +61,6 @@ from ..runtime import (
 from .accuracy import ACCURACY
 from .transmittance import factor_axes, opaque_lattice, transmission
 
-_RETAINED = 16, 2
-"""Numbers of largest directions for which an array caches its factors, of one and of two coordinates. Patches of
-different sizes use different directions, and those of one size are computed in succession."""
-
 
 class ArrayParameter(NamedTuple):
     """A parameter with respect to which a factor is differentiated: position, Fresnel number or relative width."""
@@ -312,7 +308,9 @@ class MicrolensArray:
         """Return the factors on the active device, with directions up to a cosine relative to the incident light."""
         key = array_module(), cosine
         if key not in self._factors:
-            if len(self._factors) == _RETAINED[(0, 1) in self.axes]:
+            # Factors that are kept, of two coordinates and of one: patches of different sizes ask for different
+            # directions, and those of one size follow each other.
+            if len(self._factors) == (2 if (0, 1) in self.axes else 16):
                 del self._factors[next(iter(self._factors))]
             limits = self._camera, self._wavelength, cosine
             self._factors[key] = [

@@ -16,14 +16,6 @@ Rows = Iterable[tuple[slice, Field]]
 A block holds until the next one is asked for, and who takes it may overwrite it.
 """
 
-# Rows that are transformed together: in the processor's cache, or enough to keep a CUDA device busy.
-_BLOCK = 64
-_CUDA_BLOCK = 4096
-
-# Columns whose distance is a multiple of the page size would map to the same few cache lines during transposition.
-_PAGE = 512
-_STAGGER = 24
-
 
 class FieldWorkspace:
     """Memory shared by steps, since fresh memory pages would cost nearly as much as the transforms.
@@ -39,12 +31,15 @@ class FieldWorkspace:
         buffers: dict[str, Field] | None = None,
     ):
         self.libraries = active_backend()
-        self.block = _CUDA_BLOCK if self.libraries.is_cuda else _BLOCK
+        # Rows that are transformed together: enough to keep a CUDA device busy, or in the processor's cache.
+        self.block = 4096 if self.libraries.is_cuda else 64
         self._transformed = 0
         self._report = report
         self._buffers = {} if buffers is None else buffers
         columns, rows = (max(sizes) for sizes in zip(*(step.columns for step in steps), strict=True))
-        self._columns = self.array("columns", (columns, rows + -rows % _PAGE + _STAGGER))
+        # Columns whose distance is a multiple of the page size would map to the same few cache lines when
+        # transposed.
+        self._columns = self.array("columns", (columns, rows + -rows % 512 + 24))
 
     def columns(self, step: Step) -> Field:
         """Return the memory of a step's columns, shared with the last step's columns."""

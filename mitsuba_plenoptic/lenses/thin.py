@@ -106,9 +106,8 @@ def _sum(terms: list, x: Any) -> Any:
     return total
 
 
-_PAIRS = 65
 _DIRECTIONS = 6
-"""Middles of pairs of points across the pupil, and directions of the pairs."""
+"""Directions of pairs of points of the pupil."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +262,8 @@ class ThinLens(ClosedLens):
         """
         radius = float(self.pupil.radius)
         scale = 1 / in_millimetres(wavelength)
-        x, y = (place.ravel() for place in np.meshgrid(*2 * [np.linspace(-radius, radius, _PAIRS)]))
+        # 65: Middles of pairs of points across the pupil.
+        x, y = (place.ravel() for place in np.meshgrid(*2 * [np.linspace(-radius, radius, 65)]))
         slopes = self._wavefront.slope(x, y)
         errors = []
         for angle in math.pi / _DIRECTIONS * np.arange(_DIRECTIONS):

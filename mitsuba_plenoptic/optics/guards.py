@@ -11,9 +11,6 @@ from dataclasses import dataclass
 
 from ..errors import InputError, warn
 
-_DIGITS = 3
-"""Digits of reported fractions: further digits vary with the number of threads."""
-
 
 class PhysicsWarning(UserWarning):
     """Warning that a result is less accurate than promised, with the fraction of power concerned."""
@@ -205,7 +202,8 @@ def watch() -> Iterator[dict[str, float]]:
     finally:
         _findings.reset(token)
     for guard, fraction in findings.items():
-        fractions[guard.name] = float(f"{fraction:.{_DIGITS}g}")
+        # Further digits vary with the number of threads.
+        fractions[guard.name] = float(f"{fraction:.3g}")
         _warn(guard, fraction)
 
 

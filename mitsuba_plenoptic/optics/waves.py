@@ -130,13 +130,6 @@ def power_by_row(field: Field) -> Doubles:
     return arrays.einsum("ij,ij->i", parts, parts).astype(np.float64)
 
 
-_ROWS = 32
-"""Approximate number of rows that are checked in a large field."""
-
-_SMALL = 2**18
-"""Largest number of samples for which a field is checked completely."""
-
-
 class StepGuard:
     """Checks of one propagation step, made on the field before it, on the spectrum, and on the field after it.
 
@@ -197,7 +190,8 @@ class StepGuard:
 
 def _row_step(field: Field) -> int:
     # odd, so that the rows do not align with structures that repeat by powers of two
-    return len(field) // _ROWS | 1 if field.size > _SMALL else 1
+    # Of large fields some 32 rows are checked.
+    return len(field) // 32 | 1 if field.size > 2**18 else 1
 
 
 def _packed_rows(packed: Any, shape: Sizes, chosen: Array | None) -> Field:

@@ -15,10 +15,6 @@ from ..optics import Spectrum
 from ..runtime import POINTS, Array, Doubles, Floats, Job, Numbers, Shape, as_array, require_all
 from .pupil_weights import PupilWeights
 
-_LEFT_OUT = 0.1
-_ROUNDING = 1e-6
-"""Fraction of the accuracy used for simplifying spectra, and relative rounding error of single precision."""
-
 
 @dataclass(frozen=True)
 class SpectralSum:
@@ -89,7 +85,8 @@ class WeightChannels:
         """Yield the sums for weights (n, columns), simplified at nodes within an allowed error."""
         _, matrix = self.mixing(weights.shape[1])
         total = np.sqrt(np.square(weights @ matrix.T.astype(np.float64)).sum(0))
-        errors = max(_LEFT_OUT * accuracy, _ROUNDING) / self.sums * total
+        # A tenth of the accuracy is for simplified spectra; 1e-6 is the rounding error of single precision.
+        errors = max(0.1 * accuracy, 1e-6) / self.sums * total
         for spectral_sum in self.parts(weights.shape[1]):
             yield (
                 spectral_sum.reduced(weights, errors)

@@ -16,8 +16,7 @@ import numpy as np
 from ..runtime import Array, Doubles, Field, Floats, Integers, Shape, Sizes, backend_of
 
 _LANES = 2**24
-_BLOCK = 2**18
-"""Samples of windows that a device gathers together, and that fit into the cache of a core."""
+"""Samples of windows that a device gathers together."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,8 @@ def gathered(planes: Floats, windows: Windows, weights: Floats, moments: Doubles
     matrix[:, windows.patch[window], np.arange(len(window))] = moments[:, window] * weights[window, channel]
     factors = arrays.asarray(matrix.reshape(-1, len(window)))
     result = arrays.empty((len(factors), size, size), np.float32)
-    block = (_LANES if libraries.is_cuda else _BLOCK) // max(1, len(window) * size)
+    # 2**18: Samples that fit into the cache of a core.
+    block = (_LANES if libraries.is_cuda else 2**18) // max(1, len(window) * size)
     for rows in runs(size, max(1, block)):
         height = rows.stop - rows.start
         samples = taken(planes, channel, windows.start[window] + (rows.start, 0), (height, size))

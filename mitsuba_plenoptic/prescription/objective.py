@@ -21,10 +21,6 @@ from ..errors import (
 )
 from .lens_data import SINGLE, LensData, even_count, require_alone, require_unscaled
 
-_STRONGEST = 1000.0
-"""Magnification at most."""
-
-
 _WIDEST = 0.1
 """Numerical aperture on the image side at most: directions there are taken as small."""
 
@@ -83,7 +79,7 @@ class Objective(LensData):
         with naming("main_lens"):
             put_checked(
                 self,
-                magnification=partial(require_number, positive=True, maximum=_STRONGEST),
+                magnification=partial(require_number, positive=True, maximum=1000),
                 immersion=partial(require_number, minimum=1, maximum=4.0),
                 numerical_aperture=partial(require_number, positive=True),
                 tube_focal_length=require_length,

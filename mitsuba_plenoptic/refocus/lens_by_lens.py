@@ -40,10 +40,6 @@ from .conjugates import Conjugates, ThinConjugates, behind_thin_lens
 from .methods import Progress
 from .planning import GUARD, check_pupil_diffraction, detector_step, field_subsamples
 
-# Samples that are transformed together, on the processor and on a CUDA device.
-_BATCH_SAMPLES = 2**20
-_CUDA_BATCH_SAMPLES = 2**25
-
 _BLURRED = 8.0
 """Blur in lenses from which on the samples of the field suffice, or fewer, in inverse proportion to the blur.
 
@@ -143,7 +139,7 @@ class LensTile:
     @property
     def batch(self) -> int:
         """Number of lenses that are transformed together."""
-        samples = _CUDA_BATCH_SAMPLES if active_backend().is_cuda else _BATCH_SAMPLES
+        samples = 2**25 if active_backend().is_cuda else 2**20
         return max(1, samples // max(self.object_samples, self.pupil.size, self.cell_samples) ** 2)
 
 

@@ -51,9 +51,6 @@ Window = tuple[Span, Span]
 GUARD = 1.05
 """Directions held over those that geometry needs, for the light that edges diffract."""
 
-_PIXEL_GUARD = 1.2
-"""The same on the detector, where the borders of pixels diffract more."""
-
 _MOST_TRANSFORMED = 2**35
 """Samples that one field's transforms go through, at most: some 100 times those of 4096 x 4096 pixels of the paper.
 
@@ -75,13 +72,6 @@ The power has twice as many as the field. With the cubic integrals of `direction
 those from many more samples; ten bins per lens, each as narrow as two samples, would be 2 % off with the fewer ones.
 """
 
-
-_MARGIN_ORDERS = 0.5
-_MARGIN_LENSES = 1.0
-"""Diffraction orders of a lens held beyond the directions to the main lens, and lenses beside the lit ones.
-
-Without the steeper directions edges become ripples; what is cut off of these should be in directions that miss.
-"""
 
 OBJECT_MARGIN = 6.0
 """Bins around the geometric image in which light is retained; beyond three the edge of the pupil diffracts 0.5 %."""
@@ -153,7 +143,8 @@ def field_subsamples(camera: PlenopticCamera, wavelength: float) -> int:
     converging = max(camera.mla_pitches) * (b + z) / (2 * b * z)
     accepted = camera.aperture_radius / b
     most = max(2 * (half_field / b + converging), converging + bend(camera) + accepted)
-    return math.ceil(camera.pixel_size * _PIXEL_GUARD * most / in_millimetres(wavelength))
+    # 1.2: As `GUARD`, on the detector, where the borders of pixels diffract more.
+    return math.ceil(camera.pixel_size * 1.2 * most / in_millimetres(wavelength))
 
 
 def plan(
@@ -257,8 +248,10 @@ def _main_lens_steps(
     radius = camera.aperture_radius
     wave = in_millimetres(wavelength)
     half_mla = max(abs(end) for step in detector for end in (step.destination[0], step.destination[-1]))
-    steepest = (radius + half_mla) / b + _MARGIN_ORDERS * wave / min(camera.mla_pitches)
-    beside = _MARGIN_LENSES * max(camera.mla_pitches)
+    # 0.5: Diffraction orders of a lens held beyond the directions to the main lens. Without them edges become
+    # ripples; what is cut off of these should be in directions that miss.
+    steepest = (radius + half_mla) / b + 0.5 * wave / min(camera.mla_pitches)
+    beside = max(camera.mla_pitches)
     count = max(step.wanted for step in detector)
     ways = [_beyond_paraxial(step, count, b, steepest, beside, wave) for step in detector]
 

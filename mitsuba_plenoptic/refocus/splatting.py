@@ -24,8 +24,7 @@ from ..optics import rays
 from ..rays import Passage, Walk, detector_rows, follow_back, on_plane
 from ..runtime import Array, Doubles, Flags, Shape, Triple, array_module, require_memory
 
-# Samples of the fine grid across a lens pitch; at least `_LEAST` across a bin.
-_FINE = 16
+# Samples of the fine grid across a bin at least.
 _LEAST = 4
 
 # Pixels followed at once: few enough to stay in the cache.
@@ -58,7 +57,8 @@ class Splat:
         fine = 1
         footprints = [np.ones((1, 1, 1, 1))] * len(focal_lengths)
         if footprint == "lens":
-            fine = max(_LEAST, -(-_FINE // oversample))
+            # 16: Samples of the fine grid across a lens pitch.
+            fine = max(_LEAST, -(-16 // oversample))
             step = camera.row_pitch / (oversample * fine)
             footprints = [_in_bins(_footprint(camera, distance, f2, step), fine) for f2 in focal_lengths]
         # Pixels that land in bins beyond the border may still reach across it.

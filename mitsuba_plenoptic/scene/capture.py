@@ -26,11 +26,6 @@ if TYPE_CHECKING:
 MOST_SAMPLES = 2**24
 """Largest count of samples per pixel."""
 
-# Bytes per pixel while a film is rendered: its block of red, green, blue and weight, the developed image, its copy,
-# and the sum of passes, each of up to four single-precision values.
-_PIXEL_BYTES = 4 * 4 * 4
-_RAY_BYTES = 16
-
 _RAYS_PER_PASS = 2**24
 """Rays traced at once. Their random states take 16 bytes each, so that the paper's 4096 x 4096 pixels with one sample
 each need 0.25 GiB in addition to the film."""
@@ -287,7 +282,9 @@ def chosen_integrator(scene: Any, model: str | None, wave: dict[str, Any]) -> An
 def film_memory(camera: PlenopticCamera, spp: int, columns: int) -> float:
     """Return the memory of a ray capture in bytes, for a film of the camera's aspect with `columns`."""
     pixels = float(columns) * max(1, round(columns * camera.shape[0] / camera.shape[1]))
-    return _PIXEL_BYTES * pixels + _RAY_BYTES * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
+    # Per pixel the block of red, green, blue and weight, the developed image, its copy, and the sum of passes,
+    # each of up to four single-precision values; per ray a random state.
+    return 4 * 4 * 4 * pixels + 16 * max(min(_RAYS_PER_PASS, pixels * spp), pixels)
 
 
 def _split(image: Array, channels: int) -> tuple[Array, Array]:

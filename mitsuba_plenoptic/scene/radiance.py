@@ -292,10 +292,6 @@ def channels(radiance: Any) -> list:
     return [radiance[0]] if mi.is_spectral else list(radiance)
 
 
-_FAR_TOO_NEAR = 0.5
-"""Distance over the nearest sharp one below which a scene is not just out of focus."""
-
-
 _CHORDS = 32
 """Rays from rim to rim of the main lens that look for surfaces there."""
 
@@ -344,7 +340,8 @@ def warn_of_metres(scene: Any, sensor: Any) -> None:
     sharp = min((distances[0] for distances in ranges if distances), default=0.0)
     if farthest < camera.focal_length:
         where = f"within the main lens's focal length of {camera.focal_length:.4g} mm"
-    elif farthest < _FAR_TOO_NEAR * sharp:
+    elif farthest < 0.5 * sharp:
+        # Below half of the nearest sharp distance a scene is not just out of focus.
         where = f"and refocusing makes nothing sharp that is nearer than {sharp:.4g} mm"
     else:
         return

@@ -28,9 +28,6 @@ from .white import MINIMUM_WEIGHT, divide_by_white
 _SAME = 1e-6
 """Fraction of a pitch by which columns of lenses may differ that are one, and of a pixel by which lengths may."""
 
-_OWN = 0.9
-"""Part of the pixels between which a sample is interpolated that must be its own lens's."""
-
 
 @dataclass(frozen=True, eq=False)
 class LensViews:
@@ -100,7 +97,8 @@ def decode_views(image: Floats, camera: PlenopticCamera, white: Any, seen: Any) 
         views.on_grid(_sampled(pixels, camera, views)) for pixels in (image, white, seen, unit)
     )
     divisor, weight = divisor[..., 0], weight[..., 0].clip(0, 1)
-    divide_by_white(values, divisor, weight, alone[..., 0] >= _OWN)
+    # 0.9: Part of the pixels between which a sample is interpolated that must be its own lens's.
+    divide_by_white(values, divisor, weight, alone[..., 0] >= 0.9)
     scale = -lens.tube_focal_length / lens.last_focal_length
     coordinates: dict[str, object] = {"weight": (DIMS, weight), "white": (DIMS, divisor)}
     for name, positions, axis in (("u", views.across, "x"), ("v", views.down, "y")):

@@ -19,9 +19,6 @@ from ..errors import MOST_PIXELS, put_checked, refuse_if, require_count, require
 from ..optics import rays
 from ..runtime import Array, Doubles, Integers, Numbers, Pair, Shape, Sizes, require_memory, turn
 
-_ASIDE = 0.05
-"""Displacement of lenses over the width of a bin up to which they are not interpolated."""
-
 
 @dataclass(frozen=True)
 class LensGrid:
@@ -105,7 +102,8 @@ class LensGrid:
     def are_like(self, bins: LensGrid) -> bool:
         """Return whether these lenses stand for bins: as many, regular or displaced by a small part of a bin."""
         regular = replace(self, warp=(), middle=(0.0, 0.0))
-        return regular == bins and np.abs(self.centres() - bins.centres()).max() < _ASIDE * min(bins.spacing)
+        # 0.05: Displacement of lenses over the width of a bin up to which they are not interpolated.
+        return regular == bins and np.abs(self.centres() - bins.centres()).max() < 0.05 * min(bins.spacing)
 
     def regular(self, places: Array) -> Array:
         """Return the positions (n, 2) from which the warp displaces to given ones."""

@@ -39,9 +39,6 @@ _SMOOTH = (0.25, 0.5, 0.25)
 # centre of its micro-image and of the pixel, which have a variance of 1/4 together.
 _SPREAD = (0.125, 0.75, 0.125)
 
-# Points across the square that is mapped to a lens's aperture, for its open part's mean point.
-_POINTS = 32
-
 
 # Parts along rows and columns into which an array is divided whose lenses are tilted, or seen unevenly.
 _ZONES = 6
@@ -290,7 +287,7 @@ def light_of_lens(camera: PlenopticCamera, f2: float, place: Array, x: Array, y:
 
     The light (..., n), to which pixels respond, is that of samples which see the pupil point (x, y) through the centre.
     """
-    right, up = camera.lattice.aperture_grid(_POINTS)
+    right, up = camera.lattice.aperture_grid(32)
     height = camera.array_height(*place)
     kappa = camera.pupil_shift(f2, height)
     x = x[..., None]

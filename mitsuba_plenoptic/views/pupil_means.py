@@ -24,10 +24,6 @@ from ..runtime import Doubles, Numbers, Pair
 _SAMPLES = 4
 _MOST = 512
 
-# Deviation, over that of a texture's autocorrelation, of the Gaussian of the scene's movement between two points of the
-# pupil up to which light of one moves the view of the other; light that moves farther agrees with nothing.
-_ALIKE = 1.6
-
 
 @functools.lru_cache(maxsize=256)
 def light_of_views(
@@ -49,7 +45,10 @@ def light_of_views(
     places = np.arange(-(count // 2), count // 2) / samples
     kernels = np.zeros((3, count, count))
     for lenses in around:
-        x, y = (np.exp(-np.square((places * slope + away) / (_ALIKE * texture)) / 2) for away in lenses)
+        # 1.6: Deviation, over that of a texture's autocorrelation, of the Gaussian of the scene's movement
+        # between two points of the pupil up to which light of one moves the view of the other; light that
+        # moves farther agrees with nothing.
+        x, y = (np.exp(-np.square((places * slope + away) / (1.6 * texture)) / 2) for away in lenses)
         pixels = lenses * camera.micro_image_pitch / camera.pixel_size
         column, row = (len(spread) - count) // 2 - np.rint(pixels * samples).astype(int)
         light = spread[row : row + count, column : column + count] * x * y[:, None]

@@ -28,9 +28,6 @@ from .grid import LensGrid, lens_indices, lens_numbers, lens_types, lenses_of_pi
 # raise their noise.
 MINIMUM_WEIGHT = 0.1
 
-# Fraction of the pupil from which samples count as fully open when a recorded white's level is found.
-_FULL = 0.9
-
 # Samples of a table of the pupil along a side, at most.
 _WIDEST = 4096
 
@@ -404,7 +401,8 @@ def open_fraction(white: Floats, alone: Array | None = None) -> Floats:
     fit[..., 0] = np.quantile(samples, 0.95, axis=2)
     for _ in range(3):
         # What sees part of the pupil takes no part.
-        full = samples >= _FULL * (fit @ terms.T)
+        # 0.9: Fraction of the pupil from which samples count as fully open.
+        full = samples >= 0.9 * (fit @ terms.T)
         moments = np.einsum("rcn,ni,nj->rcij", full, terms, terms, optimize=True)
         # Few samples, or samples in a line, have no slope.
         moments[..., (0, 1, 2), (0, 1, 2)] += (1e-6, 0.1, 0.1)

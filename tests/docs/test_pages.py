@@ -17,6 +17,7 @@ from mitsuba_plenoptic import cli
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+SOURCES = "".join(path.read_text() for path in (ROOT / "mitsuba_plenoptic").rglob("*.py"))
 COMMANDS = {name: cli.load(name) for name in cli.COMMANDS}
 
 
@@ -30,9 +31,8 @@ def test_commands_and_names_exist(page):
         assert {word for word in words if re.match(r"--?[A-Za-z]", word)} <= known | {"--help"}, line
     for path in set(re.findall(r"\bmp\.([A-Za-z]\w*(?:\.[A-Za-z]\w*)*)", text)):
         functools.reduce(getattr, path.split("."), mitsuba_plenoptic)
-    sources = "".join(path.read_text() for path in (ROOT / "mitsuba_plenoptic").rglob("*.py")) if "```diff" in text else ""
     for line in re.findall(r"(?<=```diff\n)-(.*\n)", text):
-        assert sources.count(line) == 1, line
+        assert SOURCES.count(line) == 1, line
     # What is written in prose, with its folder.
     for path in set(re.findall(r"`(?:python )?((?:tools|tests|docs|asv|mitsuba_plenoptic)/[\w./]+)", text)):
         assert (ROOT / path).exists(), path

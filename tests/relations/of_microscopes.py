@@ -44,8 +44,7 @@ def plane(camera, rng, s=1.0, mirrored=False):
     texture = mi.Bitmap(np.ascontiguousarray(rng.random((6, 6, 1), np.float32)[:, :: -1 if mirrored else 1]))
     radiance = {"type": "bitmap", "bitmap": texture, "filter_type": "nearest", "raw": True}
     half, depth = 2 * camera.main_lens.field_stop / camera.main_lens.magnification, s * float(rng.uniform(-5e-3, 5e-3))
-    turn = 190 if mirrored else 170
-    place = mi.ScalarTransform4f().translate([0, 0, depth]).rotate([0, 1, 0], turn).scale(half)
+    place = mi.ScalarTransform4f().translate([0, 0, depth]).rotate([0, 1, 0], 190 if mirrored else 170).scale(half)
     shape = {"type": "rectangle", "to_world": place, "emitter": {"type": "area", "radiance": radiance}}
     return mi.load_dict({"type": "scene", "integrator": {"type": "path"}, "sensor": camera.to_sensor(), "plane": shape})
 
@@ -55,20 +54,14 @@ def units_of_fourier_microscopes(draw):
     """Lengths twice as long: the same capture by the same rays, or by waves of twice the wavelength."""
     camera = microscope(draw.rng)
     lens, seed = camera.main_lens, int(draw.rng.integers(1000))
-    longer = replace(
-        lens,
-        tube_focal_length=2 * lens.tube_focal_length,
-        fourier_focal_length=2 * lens.fourier_focal_length,
-        field_stop=2 * lens.field_stop,
+    of_lens = "tube_focal_length", "fourier_focal_length", "field_stop"
+    doubled = {name: 2 * getattr(camera, name) for name in ("mla_pitch", "detector_distance", "detector_width")}
+    other = camera.replace(
+        main_lens=replace(lens, **{name: 2 * getattr(lens, name) for name in of_lens}),
+        mla_focal_length=tuple(2 * value for value in camera.mla_focal_lengths),
+        mla_offset=tuple(2 * value for value in camera.mla_offset),
+        **doubled,
     )
-    lengths = "mla_pitch", "detector_distance", "detector_width"
-    doubled = {name: 2 * getattr(camera, name) for name in lengths}
-    doubled["mla_focal_length"] = tuple(2 * value for value in camera.mla_focal_lengths)
-    offset = tuple(2 * value for value in camera.mla_offset)
-    other = mp.PlenopticCamera(
-        main_lens=longer, mla_offset=offset, mla_lattice=camera.mla_lattice, mla_rotation=camera.mla_rotation,
-        mla_aperture=camera.mla_aperture, resolution=camera.resolution, **doubled,
-    )  # fmt: skip
     model = str(draw.rng.choice(["ray", "wave"]))
     one, two = (
         mp.render_capture(
@@ -119,7 +112,10 @@ def of_noise(draw, camera, other, inside=np.s_[:], mirrored=False):
 def crop_of_fourier_microscopes(draw):
     """A crop is the same pixels of the whole, within stated noise."""
     camera = microscope(draw.rng)
-    x, y, width, height = (int(n) for n in camera.resolution[0] * draw.rng.uniform([0, 0, 0.4, 0.4], [0.3, 0.3, 0.7, 0.7]))
+    size = camera.resolution[0]
+    x, y, width, height = draw.rng.integers(
+        [0, 0, size // 3, size // 3], [size // 3] * 2 + [2 * size // 3] * 2
+    ).tolist()
     other = camera.replace(crop_offset=(x, y), crop_size=(width, height))
     return of_noise(draw, camera, other, np.s_[y : y + height, x : x + width]), 1.4
 
@@ -129,7 +125,6 @@ def mirror_of_fourier_microscopes(draw):
     """The mirrored plane by the mirrored microscope: the mirrored capture, within stated noise."""
     camera = microscope(draw.rng)
     lengths, (x, y) = camera.mla_focal_lengths, camera.mla_offset
-    other = camera.replace(
-        mla_offset=(-x, y), mla_rotation=-camera.mla_rotation, mla_focal_length=lengths[:1] + lengths[:0:-1]
-    )
+    turned = {"mla_offset": (-x, y), "mla_rotation": -camera.mla_rotation}
+    other = camera.replace(mla_focal_length=lengths[:1] + lengths[:0:-1], **turned)
     return of_noise(draw, camera, other, mirrored=True), 1.4

@@ -30,9 +30,6 @@ NUMBERS = {
 _COARSE, _FINE = 8, 25
 """Samples across the radius of a micro-image at most, of a search and of the fit; finer pictures are averaged."""
 
-_POINTS = 2.5
-"""Points across a lens, over samples across the radius of a micro-image, that tell the part that the stop lights."""
-
 
 @dataclass(frozen=True)
 class StopFit:
@@ -133,7 +130,8 @@ class _WhiteModel:
         # From the native image plane to the detector.
         self.scale = camera.reduced_distance / lens.last_focal_length
         self._half = float(lens.field_stop or 0) * self.scale
-        self._points = int(_POINTS * samples)
+        # Points across a lens that tell the part that the stop lights.
+        self._points = int(2.5 * samples)
         finer = max(1, int(self._half / camera.pixel_size / samples))
         self._sample = camera.pixel_size * finer
         # Means over pixels, of whole blocks.

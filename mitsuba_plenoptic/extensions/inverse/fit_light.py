@@ -25,9 +25,6 @@ _LEAST_ELECTRONS = 1.0
 _CLEAR = 4.0
 """Standard deviations by which a pixel that counts is expected below its saturation."""
 
-_LIGHT = 3.0
-"""Standard deviations of its dark noise by which the sum of a capture is above zero, or it is black."""
-
 _NEGATIVE = 6.0
 """Standard deviations of its dark noise, by no more of which a pixel is below zero."""
 
@@ -112,7 +109,9 @@ def check_light(view: View, default: PixelNoise | None) -> None:
     image = view.image
     refuse_if(not mask.any(), "image: all of its pixels are left out: by its mask, or as saturated")
     refuse_if(
-        image.sum(where=mask, dtype=np.float64) <= _LIGHT * np.sqrt(np.sum(np.square(dark) * mask)),
+        # 3: Standard deviations of its dark noise by which the sum of a capture is above zero, or it is
+        # black.
+        image.sum(where=mask, dtype=np.float64) <= 3 * np.sqrt(np.sum(np.square(dark) * mask)),
         "image: it is black: nothing can be found by it",
     )
     negative = mask & (image < -_NEGATIVE * least)

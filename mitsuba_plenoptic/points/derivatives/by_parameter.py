@@ -18,10 +18,6 @@ from ..field_grid import Grid
 from ..patch_factors import Elements
 from ..units import brightness, detector_brightness
 
-_BLOCK = 2**14
-_DEVICE_BLOCK = 2**22
-"""Number of samples for which powers are computed together, in a core's cache and on a device."""
-
 
 def varying_path(coefficients: Any, radius: float, x: Any, y: Any) -> Any:
     """Return the path that changes of coefficients add at points of the pupil: zero, but with gradients."""
@@ -50,7 +46,8 @@ class _VaryingPath(dr.CustomOp):
         polynomials = [zernike(j) for j in range(1, self._count + 1)]
         size = max(len(polynomial) for polynomial in polynomials)
         moments = libraries.arrays.zeros((size, size))
-        step = _DEVICE_BLOCK if libraries.is_cuda else _BLOCK
+        # Samples for which powers are computed together, on a device and in a core's cache.
+        step = 2**22 if libraries.is_cuda else 2**14
         for first in range(0, len(gradient), step):
             block = slice(first, first + step)
             across, up = (
