@@ -64,18 +64,12 @@ def detect_view_corners(
     ----------
     image : (rows, columns[, channels]) array
         Raw picture, with values proportional to light; it may be a mosaic of colour filters.
-    white : (rows, columns[, channels]) array
-        Picture of something evenly white, by the same camera.
-    centres : Table
-        Centres of micro-images, as `read_centres` and `Centres.table` give them.
+    white, centres, frame, name
+        As for `detect_corners`.
     board : Board
         The board, of which parts suffice: corners are then counted from the first that is seen.
     camera : PlenopticCamera
         Provides the kind of lattice.
-    frame : int
-        Number of the picture.
-    name : str
-        Name of the picture in messages.
 
     Returns
     -------
