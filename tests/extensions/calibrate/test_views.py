@@ -115,7 +115,7 @@ def test_deviations_are_true():
     assert (np.abs(errors.mean(0)) < 0.6).all()
 
 
-@pytest.mark.parametrize(("name", "other"), [("principal_u", 40.0), ("k1", 2e-3)])
+@pytest.mark.parametrize(("name", "other"), [("principal_u", 40.0), ("k1", 2e-3), ("k2", 2e-4), ("p1", 2e-4)])
 def test_what_part_of_the_field_leaves_open_is_named(name, other):
     """Data made with another value give the same residual, and the result says so."""
     board, results = Board(6, 5, 5.0), []
