@@ -577,8 +577,9 @@ _lane_count: ContextVar[Any] = ContextVar("count", default=None)
 def count_lanes(lanes: int) -> None:
     """Let the kernel that is being recorded count its lanes, if anyone asks for them: see `lanes_reported`."""
     if (count := _lane_count.get()) is not None:
-        # Without a copy of the count for each thread, which Dr.Jit would add up at the end.
-        dr.scatter_add(count, mi.UInt32(1), dr.zeros(mi.UInt32, lanes), mode=dr.ReduceMode.Local)
+        # One lane of 1,024, as threads wait for each other's counts; without copies for each, added up at the end.
+        counts = (dr.arange(mi.UInt32, lanes) & 1023) == 0
+        dr.scatter_add(count, mi.UInt32(1024), dr.zeros(mi.UInt32, lanes), counts, mode=dr.ReduceMode.Local)
 
 
 @contextlib.contextmanager

@@ -59,8 +59,8 @@ from .spectral_nodes import Node, RayWavelengths, WavelengthSampler, chances, mi
 _BLOCK_BYTES = 2**27
 """Bytes of the images of one block of the detector: few, for memory, and as progress is counted in blocks."""
 
-_BLOCK_RAYS = 2**22
-"""Approximate most rays of a block: about a second's, as the first checkpoint waits for the end of two."""
+_BLOCK_RAYS = 2**23
+"""Approximate most rays of a block: some two seconds', as the first checkpoint waits for the end of two."""
 
 _BLOCK_PIXELS = 2**8
 """Approximate fewest pixels of a block with many rays for each."""
