@@ -35,6 +35,8 @@ class ViewComparison:
             brightness = np.log(white / seen)
         self._compared = np.ones(seen.shape, bool)
         if self._is_decoded:
+            self._camera = camera_of(lf)
+            self._views = tuple(tuple(view_steps(lf, axis).tolist()) for axis in "uv")
             # Of light of a lens alone, and of all lenses.
             whole, even = (self._light(0.0, wavelength_of(lf), texture)[0] for texture in (1e-3, 1e3))
             brightness -= np.log(even / self._light(0.0, None, 1e3)[0])
@@ -66,8 +68,7 @@ class ViewComparison:
 
     def _light(self, slope: float, wavelength: float | None, texture: float) -> Pair:
         """Return the light of the views by the camera, and its sums; see `light_of_views`."""
-        u, v = (tuple(view_steps(self._lf, axis).tolist()) for axis in "uv")
-        return light_of_views(camera_of(self._lf), wavelength, self._spread, texture, slope or 1e-9, u, v)
+        return light_of_views(self._camera, wavelength, self._spread, texture, slope or 1e-9, *self._views)
 
     def _moved_by(self, slope: float) -> Array:
         """Return by how many steps (2, v, u) blur moves the mean points of the views that are compared."""
