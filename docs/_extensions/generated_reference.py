@@ -196,10 +196,18 @@ def guards(text: str) -> str:
 
 
 def support(text: str) -> str:
-    """Fill in the table of support."""
-    from mitsuba_plenoptic.camera.support import support_table
+    """Fill in the table of support, one row for each entry."""
+    from mitsuba_plenoptic.camera import PARAMETERS
+    from mitsuba_plenoptic.camera.support import support_of
 
-    return text.replace("SUPPORT", support_table())
+    rows = ["| parameter | use | |", "|---|---|---|"]
+    for name in PARAMETERS:
+        for entry in support_of(name):
+            instead = f"; use {entry.instead}" if entry.instead else ""
+            where = f" {entry.where.words}" if entry.where else ""
+            uses = ", ".join(use.words for use in entry.uses)
+            rows.append(f"| `{name}`{where} | {uses} | {entry.verdict}: {entry.words}{instead} |")
+    return text.replace("SUPPORT", "\n".join(rows) + "\n")
 
 
 def _bound(fraction: float) -> str:

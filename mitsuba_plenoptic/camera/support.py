@@ -430,15 +430,3 @@ def refusal(name: str, value: Any, use: Use, entry: Support) -> str:
     instead = f"use {entry.instead}, or leave it out" if entry.instead else "leave it out"
     text = value.label if name == "main_lens" else value if isinstance(value, str) else short_repr(value)
     return f"{name} = {text}: {use.words} refuse it: {entry.words}; {instead}"
-
-
-def support_table() -> str:
-    """Return the table in Markdown, one row for each entry."""
-    rows = ["| parameter | use | |", "|---|---|---|"]
-    for name in PARAMETERS:
-        for entry in support_of(name):
-            instead = f"; use {entry.instead}" if entry.instead else ""
-            where = f" {entry.where.words}" if entry.where else ""
-            uses = ", ".join(use.words for use in entry.uses)
-            rows.append(f"| `{name}`{where} | {uses} | {entry.verdict}: {entry.words}{instead} |")
-    return "\n".join(rows) + "\n"

@@ -8,12 +8,26 @@ Processing", section 8.7), so that memory holds only part of an image and the sp
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..camera import PlenopticCamera
-from ..runtime import Box, Floats, Part, Shape, active_backend, add, backend_of, fft, on_all_cores
+from ..runtime import (
+    Box,
+    Floats,
+    Part,
+    Shape,
+    active_backend,
+    add,
+    backend_of,
+    fft,
+    on_all_cores,
+    on_cuda,
+    single_threaded_blas,
+)
 
 TILE = 1536
 """Approximate width of the convolution of a tile in samples. Narrower ones repeat more of the kernels' borders."""
@@ -43,15 +57,23 @@ class Convolution:
         )
         self.tile = rows, columns
         self._size = tuple(fft.fast_length(tile + support - 1) for tile in self.tile)
-        arrays = active_backend().arrays
-        transforms = active_backend().transforms
-        self._spectra = arrays.empty((self.ranks, self._size[0], self._size[1] // 2 + 1), np.complex64)
+        self._kernels = kernels
+        # Memory of the spectra.
+        self.bytes = 4 * self.ranks * math.prod(self._size)
+        self._may_be_direct = camera.lens_data.images_stop and not on_cuda()
+        # Elsewhere spectra are computed now, not by each of the threads that convolve.
+        _ = self._may_be_direct or self.spectra
 
-        def transform(rank: int) -> None:
-            kernel = arrays.asarray(np.pad(kernels[rank], self._margin - kernels[rank].shape[0] // 2))
-            self._spectra[rank] = transforms.rfft2(kernel, self._size)
+    @cached_property
+    def spectra(self) -> list:
+        """Spectra of the kernels, where the active variant's arrays lie."""
+        libraries = active_backend()
 
-        on_all_cores(transform, range(self.ranks))
+        def transform(kernel: Floats) -> Any:
+            wide = np.pad(kernel, self._margin - len(kernel) // 2)
+            return libraries.transforms.rfft2(libraries.arrays.asarray(wide, np.float32), self._size)
+
+        return on_all_cores(transform, self._kernels)
 
     def reached(self, box: Box) -> Box:
         """Return the recorded pixels, counted from the first, that light of the samples in a box can reach."""
@@ -67,8 +89,8 @@ class Convolution:
         m = self._margin
         pixels = pixels or self.reached(self.box)
         recorded = Box(self._window.left + pixels.left, self._window.top + pixels.top, pixels.columns, pixels.rows)
-        # Other processes import the libraries of the spectra's arrays themselves.
-        libraries = backend_of(self._spectra)
+        # Other processes import the libraries of the images' arrays themselves.
+        libraries = backend_of(images)
         arrays = libraries.arrays
         transforms = libraries.transforms
         result = arrays.zeros((1, recorded.rows, recorded.columns), np.float32)
@@ -76,8 +98,8 @@ class Convolution:
         def convolved(tile: tuple[slice, slice]) -> Part:
             rows, columns = tile
             size = rows.stop - rows.start, columns.stop - columns.start
-            total = arrays.zeros(self._spectra.shape[1:], np.complex64)
-            for image, spectrum in zip(images, self._spectra, strict=True):
+            total = arrays.zeros(self.spectra[0].shape, np.complex64)
+            for image, spectrum in zip(images, self.spectra, strict=True):
                 samples = image[rows, columns]
                 # Microlenses of this kind may be elsewhere; to ask a device takes longer than to go on.
                 if libraries.is_cuda or samples.any():
@@ -88,9 +110,25 @@ class Convolution:
             return Part(Box(box.left + columns.start, box.top + rows.start, size[1], size[0]).within(m), square[None])
 
         with fft.resting_drjit():
-            for tile in on_all_cores(convolved, self._tiles(box)):
-                add(tile, recorded, result)
+            parts = self._direct(images, box) if self._may_be_direct else []
+            for part in parts or on_all_cores(convolved, self._tiles(box)):
+                add(part, recorded, result)
         return result[0]
+
+    @single_threaded_blas()
+    def _direct(self, images: Floats, box: Box) -> list[Part]:
+        """Return the sum of images with few lit samples without transforms; nothing for others."""
+        row, column = np.nonzero(images.any(0))
+        width = 2 * self._margin + 1
+        # 32: Samples of kernels, over those of a transform, whose sum takes less time than transforms.
+        if len(row) * width**2 > 32 * math.prod(self._size):
+            return []
+        reached = box.within(self._margin)
+        total = np.zeros((1, reached.rows, reached.columns), np.float32)
+        light = np.tensordot(images[:, row, column], self._kernels, (0, 0))
+        for top, left, square in zip(row, column, light, strict=True):
+            total[0, top : top + width, left : left + width] += square
+        return [Part(reached, total)]
 
     def adjoint(self, pixels: Floats, box: Box | None = None) -> list[Floats]:
         """Return one image per kernel by the adjoint of `forward`, from `pixels` (rows, columns)."""
@@ -98,7 +136,7 @@ class Convolution:
         m = self._margin
         reached = box.within(m)
         tiles = list(self._tiles(box))
-        libraries = backend_of(self._spectra)
+        libraries = backend_of(self.spectra[0])
         arrays = libraries.arrays
         transforms = libraries.transforms
         samples = arrays.zeros((1, reached.rows, reached.columns), np.float32)
@@ -119,7 +157,7 @@ class Convolution:
 
         with fft.resting_drjit():
             parts = on_all_cores(transformed, tiles)
-            return on_all_cores(correlated, iter(self._spectra))
+            return on_all_cores(correlated, self.spectra)
 
     def _tiles(self, box: Box) -> Iterator[tuple[slice, slice]]:
         """Yield the slices of rows and columns of each tile of a box."""

@@ -159,29 +159,11 @@ class SignedCapture:
         planned = 0.0
         path = getattr(job.keeper, "path", None)
         # The progress of a resumed run begins with what is done.
-        if job.progress and not (path and path.exists()):
+        if progress and not (path and path.exists()):
             # Plans are a larger part of the work the fewer rays there are.
             plans = _STEPS * len(self.weights)
             # 1.5e-6: Approximate work of a ray.
             planned = plans / (plans + 1.5e-6 * math.prod(self.camera.shape) * spp)
-        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.weights)):
-            sums = self.sums(spp, seed, runs, self.kind)
-            first = sums[0]()
-        items = int(first.items.sum())
-        if runs == 1:
-            sums = [lambda: first]
-
-        def watched(plan: Callable[[], SignedRaySum]) -> SignedRaySum:
-            work = plan()
-            work.traced = lambda more: report("traced", reached["traced"] + more)
-            return work
-
-        tasks = [SumTask(items, partial(watched, plan), lambda image: image * np.float32(1 / runs)) for plan in sums]
-        if noise:
-            tasks = [keep_spread(task, self.camera) for task in tasks]
-        channels = self.spectrum.channels
-        shape = (rows, columns, channels * (3 if noise else 1))
-        items_of_all = sum(task.items for task in tasks)
         reached = {"traced": 0.0, "convolved": 0.0}
 
         def report(label: str, count: float) -> None:
@@ -190,6 +172,20 @@ class SignedCapture:
             done = _TRACING * reached["traced"] + (1 - _TRACING) * reached["convolved"]
             show(planned + (1 - planned) * done / items_of_all)
 
+        traced = (lambda more: report("traced", reached["traced"] + more)) if progress else None
+        with steps_counted(lambda done: show(planned * done) if planned else None, _STEPS * len(self.weights)):
+            sums = self.sums(spp, seed, runs, partial(self.kind, traced=traced))
+            first = sums[0]()
+        items = int(first.items.sum())
+        if runs == 1:
+            sums = [lambda: first]
+
+        tasks = [SumTask(items, plan, lambda image: image * np.float32(1 / runs)) for plan in sums]
+        if noise:
+            tasks = [keep_spread(task, self.camera) for task in tasks]
+        channels = self.spectrum.channels
+        shape = (rows, columns, channels * (3 if noise else 1))
+        items_of_all = items * runs
         job = replace(job, progress=lambda done, _: report("convolved", done))
         image = job.run(tasks, shape, items_of_all, {"scene_digest": lambda: digest(first.probe())})
         if not image.any():

@@ -143,9 +143,6 @@ class SignedRaySum(RaySum):
     _sets = 1
     """Values of a ray for each coefficient: 1, except for derivatives."""
 
-    traced: Callable[[float], None] | None = None
-    """Called with the count of items whose rays have been traced since the last call."""
-
     def __init__(
         self,
         camera: PlenopticCamera,
@@ -160,8 +157,11 @@ class SignedRaySum(RaySum):
         # lens, and each pixel two.
         spp: int,
         seed: int,
+        # Called with the count of items whose rays have been traced since the last call.
+        traced: Callable[[float], None] | None = None,
     ):
         super().__init__(camera, light, nodes, seed)
+        self._traced = traced
         self.arrays: Any = active_backend().arrays
         self._wavelengths = wavelengths
         self._parts = parts
@@ -200,7 +200,7 @@ class SignedRaySum(RaySum):
         for block_index, bins in enumerate(self._blocks[first:], first):
             seeds = np.random.SeedSequence([self._seed, block_index])
             sums = free.pop() if free else self._empty(int(self.items[0]))
-            traced = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, sums, self.traced)
+            traced = self._trace(bins, dr.arange(mi.UInt32, bins.rows * bins.columns), seeds, sums, self._traced)
             images = [image.reshape(-1, bins.rows, bins.columns) for image in traced]
             if (far := self._far(bins)).any():
                 all_light = self.arrays.asarray(np.where(far, np.float32(_THINNED**2), np.float32(1)))
@@ -231,8 +231,9 @@ class SignedRaySum(RaySum):
         """Convolution of each image; the channels of a node share one."""
         size = self._blocks[0].rows, self._blocks[0].columns
         # Those of derivatives are used once.
-        make = _convolution_of if self._sets == 1 else _convolution_of.__wrapped__
-        of_nodes = [make(self._camera, tuple(itertools.chain(*kinds)), size, on_cuda()) for kinds in self._kernels]
+        of_nodes = [
+            _convolution_of(self._camera, (*itertools.chain(*kinds),), size, self._sets == 1) for kinds in self._kernels
+        ]
         return [of_node for node, of_node in zip(self._nodes, of_nodes, strict=True) for _ in node.channels]
 
     def _trace(
@@ -253,7 +254,7 @@ class SignedRaySum(RaySum):
         # Dr.Jit's own threads rest while others convolve; here they are needed, but for the last batch.
         with fft.busy_drjit():
             for batch in self._ray_batches(box, pixels, seeds):
-                report = _portions(traced, batch.share * count)
+                report = traced and _portions(traced, batch.share * count)
                 rays = dr.width(batch.index) * self._together * len(self._groups)
                 with lanes_reported(report, rays):
                     means = self.estimate(batch)
@@ -261,7 +262,8 @@ class SignedRaySum(RaySum):
                 if before:
                     self._add(*before, sums)
                 before = batch, means
-                report(1.0)
+                if report:
+                    report(1.0)
             dr.sync_thread()
         if before:
             self._add(*before, sums)
@@ -574,14 +576,13 @@ def _sampler_of(camera: PlenopticCamera) -> type:
     return LensSampler if camera.has_array else PupilSampler
 
 
-def _portions(traced: Callable[[float], None] | None, items: float) -> Callable[[float], None]:
+def _portions(traced: Callable[[float], None], items: float) -> Callable[[float], None]:
     """Return a function of the fraction of items that is done; `traced` is called with the increases."""
     reached = 0.0
 
     def report(fraction: float) -> None:
         nonlocal reached
-        if traced:
-            traced(items * (fraction - reached))
+        traced(items * (fraction - reached))
         reached = fraction
 
     return report
@@ -634,8 +635,19 @@ def _kernels_of(plan: Plan, grid: _Grid, kind: int) -> PixelKernels:
     return grid.for_pixels(plan, kernels, keeps_light=True)
 
 
-@functools.lru_cache(maxsize=4)
-def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: Shape, cuda: bool) -> Convolution:
-    """Return the convolution with kernels, whose spectra are cached, on CUDA there, for further captures."""
-    begin_step("convolutions", 0.1)
-    return Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)
+_convolutions: dict[Any, Convolution] = {}
+"""Convolutions that are kept for further captures, the latest last."""
+
+
+def _convolution_of(camera: PlenopticCamera, sets: tuple[PixelKernels, ...], size: Shape, keep: bool) -> Convolution:
+    """Return the convolution with kernels, whose spectra are kept if asked for, on CUDA there."""
+    key = camera, sets, size, on_cuda()
+    if (convolution := _convolutions.pop(key, None)) is None:
+        begin_step("convolutions", 0.1)
+        convolution = Convolution(camera, [kernel for of_set in sets for kernel in of_set.kernels], size)
+    if keep:
+        _convolutions[key] = convolution
+        # Four, and more within a gibibyte, such as those of a microscope's kinds of lenses.
+        while len(_convolutions) > 4 and sum(each.bytes for each in _convolutions.values()) > 2**30:
+            del _convolutions[next(iter(_convolutions))]
+    return convolution

@@ -23,29 +23,26 @@ class StopSum:
         """Take what a `SignedRaySum` takes, with nodes whose plans are those of whole lenses."""
         self._sums = []
         for kind in range(len(stop_lenses(camera).parts)):
-            of_kind = [replace(node, plan=lens_diffraction(node.plan, kind)) for node in nodes]
-            if of_kind[0].plan.pixels.columns and of_kind[0].plan.pixels.rows:
+            of_kind = [
+                replace(
+                    node,
+                    plan=_diffraction(node.plan.camera, node.plan.wavelength, **node.plan.options | {"kind": kind}),
+                )
+                for node in nodes
+            ]
+            pixels = of_kind[0].plan.pixels
+            if pixels.columns and pixels.rows:
                 self._sums.append(SignedRaySum(camera, light, of_kind, *arguments, **options))
         refuse_if(not self._sums, f"crop_offset = {camera.crop_offset}: no lens sends light to the recorded pixels")
-        self.box, self.channels, self.arrays = self._sums[0].box, self._sums[0].channels, self._sums[0].arrays
+        first = self._sums[0]
+        self.box, self.channels, self.arrays = first.box, first.channels, first.arrays
         self.items = np.concatenate([of_kind.items for of_kind in self._sums])
-        self.image, self.probe = self._sums[0].image, self._sums[0].probe
-
-    @property
-    def traced(self) -> Any:
-        """Called with the count of items whose rays have been traced since the last call."""
-        return self._sums[0].traced
-
-    @traced.setter
-    def traced(self, report: Any) -> None:
-        for of_kind in self._sums:
-            of_kind.traced = report
+        self.image, self.probe = first.image, first.probe
 
     def batches(self, first: int) -> Iterator[Block]:
         """Yield the images of the blocks from index `first`, kind by kind."""
         for of_kind in self._sums:
-            if first < len(of_kind.items):
-                yield from of_kind.batches(max(first, 0))
+            yield from of_kind.batches(max(first, 0))
             first -= len(of_kind.items)
 
     def propagate(self, gradient: Sequence[Array]) -> Iterator[None]:
@@ -54,8 +51,5 @@ class StopSum:
             yield from of_kind.propagate(gradient)
 
 
-@functools.lru_cache(maxsize=128)
-def lens_diffraction(plan: LensDiffraction, kind: int) -> LensDiffraction:
-    """Return the diffraction of a kind of lenses at the wavelength of a plan, cached for further captures."""
-    options = plan.options
-    return LensDiffraction(plan.camera, plan.wavelength, options["fine"], options["shortest"], kind)
+_diffraction = functools.lru_cache(maxsize=128)(LensDiffraction)
+"""Return the diffraction of a kind of lenses, cached for further captures."""
