@@ -52,22 +52,22 @@ GOALS = {
 }
 
 REACHED = {
-    "lines": 76_200,
-    "lines of the core": 50_450,
+    "lines": 76_150,
+    "lines of the core": 50_410,
     "tokens": 544_769,
     "tokens of the core": 351_400,
-    "functions": 4_055,
-    "percentage of functions of at most three statements": 47.6,
+    "functions": 4_046,
+    "percentage of functions of at most three statements": 47.2,
     "checks and raises": 1_766,
     "definitions of checks": 115,
     "names of the core that extensions import": 368,
     "modules of the core that extensions import": 28,
-    "constants of modules": 780,
+    "constants of modules": 745,
     "lines of tests": 31_200,
-    "lines of tools": 10_178,
-    "words of docs": 56_436,
+    "lines of tools": 10_177,
+    "words of docs": 56_435,
     "modules that a ray capture loads": 97,
-    "lines that a ray capture loads": 16_010,
+    "lines that a ray capture loads": 15_960,
     "modules that a wave capture loads": 133,
 }
 """Values where the goal is not reached, rounded up."""
