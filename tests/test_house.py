@@ -63,7 +63,7 @@ REACHED = {
     "names of the core that extensions import": 368,
     "modules of the core that extensions import": 28,
     "constants of modules": 745,
-    "lines of tests": 31_200,
+    "lines of tests": 31_213,
     "lines of tools": 10_177,
     "words of docs": 56_435,
     "modules that a ray capture loads": 97,

@@ -5,6 +5,7 @@ import pytest
 import scipy
 from cameras import small_camera
 
+from mitsuba_plenoptic import PlenopticCamera
 from mitsuba_plenoptic.runtime.batches import Box, Part, add
 from mitsuba_plenoptic.waves.convolution import Convolution
 from mitsuba_plenoptic.waves.oblique import Oblique, terms
@@ -40,6 +41,18 @@ def test_convolution_in_tiles_its_bands_and_its_adjoint():
     assert image.shape == (40, part.columns)
     np.testing.assert_allclose(image[:7], 0, atol=1e-4)
     np.testing.assert_allclose(image[7:, :-40], plain.adjoint(pixels)[0][:33, 100:], atol=1e-4)
+
+
+def test_few_lit_samples_are_sums_of_kernels():
+    camera = PlenopticCamera.preset("flfm").replace(crop_offset=(7, 9), crop_size=(80, 60))
+    generator = np.random.default_rng(2)
+    direct = Convolution(camera, generator.random((3, 11, 11), dtype=np.float32))
+    images = np.zeros((3, direct.box.rows, direct.box.columns), np.float32)
+    images[:, [0, 5, 30, -1], [0, 44, 44, -1]] = generator.random((3, 4))
+    light = direct.forward(images)
+    assert "spectra" not in vars(direct)
+    direct._may_be_direct = False
+    np.testing.assert_allclose(light, direct.forward(images), atol=1e-5)
 
 
 PARTS, HALF, LARGEST = 2, 6, 0.2
